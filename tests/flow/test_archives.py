@@ -31,7 +31,7 @@ from trueup_client.calls import plants
 from trueup_service.actions.register_plant import register_plant
 from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import JobRecord, JobState
-from trueup_service.registry.transaction import writing
+from trueup_service.registry.transaction import reading, writing
 
 CONTEXT = ActorContext("tester", "2026-01-01T00:00:00.000000Z")
 VERIFIER = ROOT / "tools" / "verify_archive.py"
@@ -113,11 +113,14 @@ def test_a_backup_made_while_it_runs_is_restored_on_the_other_kind_of_storage_an
     storage, service, _, key, (_, decision, waiting) = site
     backup = tmp_path / "backup"
     assert "sha256:" in run(storage, "backup", backup).stdout
-    size = sum(p.stat().st_size for p in backup.rglob("*"))
-    # a second one into the same folder keeps what is there
+    with closing(storage.build()) as parts:
+        blobs = {backup / "blobs" / "sha256" / digest for digest in parts.blobs.all()}
+    written = {p: p.stat().st_ino for p in blobs}
+    assert sum(p.stat().st_size for p in blobs) > 10_000
+    # a second one into the same folder copies no recording and no model again
     assert "sha256:" in run(storage, "backup", backup).stdout
+    assert {p: p.stat().st_ino for p in blobs} == written
     assert verified(backup, key) == (0, "holds\n")
-    assert size > 10_000
     fresh = elsewhere(site, postgres, s3, tmp_path)
     signing = (
         storage.environment.get("TRUEUP_SIGNING_KEY")
@@ -155,7 +158,8 @@ def test_a_plant_goes_to_another_site_with_its_whole_history(site, postgres, s3,
         assert b'"plant":"other"' not in opened.extractfile(told).read()
     there = elsewhere(site, postgres, s3, tmp_path)
     run(there, "import", archive, "--key", key)
-    assert run(there, "import", archive, check=False).returncode == 1  # once
+    again = run(there, "import", archive, "--key", key, check=False)
+    assert (again.returncode, "conflict" in again.stderr) == (1, True), again.stderr
     assert "whole" in run(there, "fsck").stdout
     with (
         Service(there).running() as other,
@@ -207,6 +211,9 @@ def test_a_plant_whose_job_has_the_name_of_another_ones_is_refused_whole(site, t
         "conflict" in refused.stderr,
         "Nothing was taken in" in refused.stderr,
     ) == (1, True, True)
+    with closing(there.build()) as parts, reading(parts.database) as tx:
+        assert tx.plants.get("p") is None
+        assert tx.jobs.get(job).plant == "other"
 
 
 @pytest.mark.parametrize("site", ["embedded"], indirect=True)
@@ -345,8 +352,14 @@ def test_what_is_put_while_it_is_being_removed_stays(tmp_path):
     assert blobs.remove(digest, 3600, dry_run=False) is None
     assert blobs.remove(digest, 0, dry_run=False) == len(data)
     assert not blobs.holds(digest)
-    blobs.restore(digest)
-    assert blobs.get(digest) == data
+    assert list(blobs.removed()) == [digest]
+    blobs.put(digest, source)  # while its bytes are set aside
+    blobs.restore(digest)  # which had to be: somebody names them meanwhile
+    assert (blobs.get(digest), list(blobs.removed())) == (data, [])
+    assert blobs.remove(digest, 0, dry_run=False) == len(data)
+    blobs.put(digest, source)
+    blobs.forget(digest)  # nobody named what was there before
+    assert (blobs.get(digest), list(blobs.removed())) == (data, [])
     old = blobs._path(digest)
     os.utime(old, (0, 0))
     blobs.put(digest, source)  # an upload finds its bytes there, and makes them young again

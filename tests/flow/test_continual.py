@@ -101,8 +101,9 @@ def test_what_forgets_a_covered_condition_is_rejected_and_the_decision_says_whic
     assert not decision["accepted"]
     assert not verdicts["retained_conditions"]["passed"]
     assert verdicts["retained_conditions"]["because"] == "worse in: travel long"
-    with pytest.raises(Problem):
+    with pytest.raises(Problem) as refused:
         client.promote(fleet.name, decision["digest"], decision["generation"])
+    assert refused.value.code == "decision-rejected"
     client.close()
 
 

@@ -26,6 +26,8 @@ def test_the_pointer_is_one_register_over_two_servers(postgres, s3, tmp_path):
             told = list(client.history("p"))
         assert violations(found, told) == []
         assert len(told) > 5
+        moves = {o.generation for o in found if o.kind != "read" and o.generation}
+        assert moves == {s.generation for s in told[1:]}  # every move was acknowledged once
         assert {o.kind for o in found if o.generation} == {"read", "promote", "rollback"}
         assert verify(Installation(parts.database, parts.blobs)).findings == []
     finally:
@@ -48,8 +50,12 @@ def test_what_no_register_does_is_seen():
     ]
     assert violations(fine, told) == []
     # an old answer after the move was acknowledged
-    assert violations([*fine, Operation("read", 2.5, 4, 1, "a")], told)
+    (said,) = violations([*fine, Operation("read", 2.5, 4, 1, "a")], told)
+    assert said == "a read showed generation 1 after 2 had been shown"
     # two moves took one generation
-    assert violations([*fine, Operation("rollback", 2.1, 4, 2, "b")], told)
+    assert "generation 2 was taken twice" in violations(
+        [*fine, Operation("rollback", 2.1, 4, 2, "b")], told
+    )
     # a position that the log does not tell of
-    assert violations([*fine, Operation("read", 2.1, 4, 2, "a")], told)
+    said = violations([*fine, Operation("read", 2.1, 4, 2, "a")], told)
+    assert said == ["generation 2 was shown as a"]

@@ -6,11 +6,12 @@ holds more of them against each other, on more cases.
 """
 
 import json
+from pathlib import Path
 
 import pytest
 
 from tests.support.case import write_case
-from tests.support.processors import VARIANTS, difference, start
+from tests.support.processors import VARIANTS, bits, difference, start
 from tests.support.simulated import recorded_twice
 from trueup.gate.recompute import differences
 from trueup.simulate.noise import NoiseModel
@@ -35,6 +36,15 @@ def answers(tmp_path_factory):
     for child in [begin() for begin in begun[1:]]:
         _done(child)
     return {name: json.loads((folder / f"{i}.json").read_text()) for i, name in enumerate(names)}
+
+
+@pytest.mark.skipif(
+    " fma " not in Path("/proc/cpuinfo").read_text(), reason="a processor without FMA has no other"
+)
+def test_the_children_compute_as_other_processors_do():
+    haswell, nehalem, plain = (bits(VARIANTS[name]) for name in OTHERS)
+    assert haswell[0] != nehalem[0]
+    assert plain[1] != haswell[1]
 
 
 def _done(child):

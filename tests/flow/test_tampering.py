@@ -3,6 +3,8 @@ pointer moves."""
 
 import json
 import sqlite3
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -45,19 +47,23 @@ def told(tmp_path_factory):
 
 @pytest.fixture
 def edited(told):
-    """Run an edit, and undo it at the end."""
+    """Run an edit of a row, which is returned as it was, and undo it at the end."""
     _, folder, _, _ = told
     kept = sqlite3.connect(folder / "trueup.sqlite")
     undo = []
 
     def edit(table, column, value, where):
-        row, before = kept.execute(f"SELECT rowid, {column} FROM {table} WHERE {where}").fetchone()
+        chosen = kept.execute(f"SELECT rowid, {column} AS before, * FROM {table} WHERE {where}")
+        chosen.row_factory = sqlite3.Row
+        whole = chosen.fetchone()
+        row, before = whole["rowid"], whole["before"]
         undo.append((table, column, before, row))
         kept.execute(
             f"UPDATE {table} SET {column} = ? WHERE rowid = ?",
             (value(before) if callable(value) else value, row),
         )
         kept.commit()
+        return dict(whole)
 
     yield edit
     for table, column, value, row in reversed(undo):
@@ -112,27 +118,36 @@ def test_an_edited_decision_is_found_by_replay_and_by_verification(told, edited,
 
 
 @pytest.mark.parametrize(
-    ("table", "column", "value", "where"),
+    ("table", "column", "value", "where", "said"),
     [
-        ("audit", "facts", changed(["kind"], "other"), "kind = 'job:submitted'"),
-        ("audit", "actor", "somebody", "sequence = 2"),
-        ("moves", "artifact", "0" * 64, "generation = 2"),
-        ("moves", "actor", "somebody", "generation = 2"),
-        ("artifacts", "kind", "identified", "version = 2"),
+        ("audit", "facts", changed(["kind"], "other"), "kind = 'job:submitted'", "log"),
+        ("audit", "actor", "somebody", "sequence = 2", "log"),
+        ("moves", "artifact", "0" * 64, "generation = 2", "moves/p/2"),
+        ("moves", "actor", "somebody", "generation = 2", "moves/p/2"),
+        ("artifacts", "kind", "identified", "version = 2", "artifacts/p/2"),
         (
             "artifacts",
             "manifest",
             lambda text: text.replace("residual", "residuaL", 1),
             "version = 2",
+            "artifacts/p/2",
         ),
-        ("plants", "document", changed(["evaluation", "horizon_s"], 9.0), "name = 'p'"),
-        ("episodes", "role", "test", "role = 'validation'"),
-        ("gates", "document", changed(["scoring", "horizon_s"], 9.0), "document LIKE '%one_step%'"),
+        ("plants", "document", changed(["evaluation", "horizon_s"], 9.0), "name = 'p'", "plants/p"),
+        ("episodes", "role", "test", "role = 'validation'", "episodes/p/{digest}"),
+        (
+            "gates",
+            "document",
+            changed(["scoring", "horizon_s"], 9.0),
+            "document LIKE '%one_step%'",
+            "gates/p/{digest}",
+        ),
     ],
 )
-def test_an_edited_row_is_found_by_verification(told, edited, table, column, value, where):
-    edited(table, column, value, where)
-    assert len(findings(told[0])) > 0
+def test_an_edited_row_is_found_by_verification_and_named(
+    told, edited, table, column, value, where, said
+):
+    row = edited(table, column, value, where)
+    assert [f.where for f in findings(told[0])] == [said.format_map(row)]
 
 
 def test_what_differs_ends_the_command_with_4_and_is_listed(told, edited):
@@ -187,19 +202,25 @@ def test_a_job_that_could_not_be_closed_is_closed_later(told, tmp_path):
     kept.close()
     job = client.submit("p", {"kind": "fit", "method": "identify"})["id"]
     until(lambda: client.job(job)["stage"] == "packing")
+    time.sleep(1.0)  # many times what closing a job takes
+    assert client.job(job)["state"] == "running"
     with sqlite3.connect(folder / "trueup.sqlite") as kept:
         kept.execute("DROP TRIGGER away")
     kept.close()
     assert client.wait(job)["state"] == "succeeded"
 
 
-def test_a_watch_goes_on_after_a_restart(tmp_path):
+def test_a_watch_goes_on_through_a_restart(tmp_path):
     service = Service(embedded(tmp_path / "data"))
     service.start_server()
     client = Client(service.url)
     client.register_plant(plant_document("p"))
-    seen = client.watch("p", wait_s=2.0)
+    watching = Client(service.url)
+    seen = watching.watch("p", wait_s=2.0)
     assert next(seen).generation == 1
+    watcher = ThreadPoolExecutor(1)
+    moved = watcher.submit(next, seen)
+    time.sleep(0.2)  # so that it asks when the server goes
     service.stop()
     service.start_server(worker=True)
     for seed, role in ((0, Role.ADAPTATION), (1, Role.VALIDATION)):
@@ -211,8 +232,11 @@ def test_a_watch_goes_on_after_a_restart(tmp_path):
     decision = client.wait(
         client.submit("p", {"kind": "gate", "candidate": candidate, "gate": gate})["id"]
     )["result"]["decision"]
+    assert not moved.done()
     client.promote("p", decision, 1)
-    assert next(seen).generation == 2
+    assert moved.result(timeout=30).generation == 2
+    watcher.shutdown()
     seen.close()
+    watching.close()
     client.close()
     service.stop()

@@ -37,9 +37,31 @@ VARIANTS: Mapping[str, Mapping[str, str]] = {
 MOVED, WIDTH, ERROR = 0.02, 0.02, 0.01
 
 
+PROBE = """
+import hashlib, math, numpy
+matrix = numpy.random.default_rng(0).normal(size=(200, 200))
+sines = numpy.array([math.sin(x) * math.exp(x) for x in matrix.ravel()])
+print(*(hashlib.sha256(x.tobytes()).hexdigest() for x in (matrix @ matrix, sines)))
+"""
+
+
+def environment(variant: Mapping[str, str]) -> dict[str, str]:
+    """The environment of a child process that computes as a variant does."""
+    return {k: v for k, v in os.environ.items() if not k.startswith(SET_BY_US)} | dict(variant)
+
+
+def bits(variant: Mapping[str, str]) -> tuple[str, str]:
+    """Digests of a product of matrices and of sines and exponentials, as a variant computes
+    them."""
+    command, env = [sys.executable, "-c", PROBE], environment(variant)
+    done = subprocess.run(command, env=env, capture_output=True, text=True, check=True)
+    product, sines = done.stdout.split()
+    return product, sines
+
+
 def start(variant: Mapping[str, str], out: Path, cases: Sequence[Path]) -> subprocess.Popen[str]:
     """Starts a child process that diagnoses cases in the environment of a variant."""
-    env = {k: v for k, v in os.environ.items() if not k.startswith(SET_BY_US)} | dict(variant)
+    env = environment(variant)
     command = [sys.executable, "-m", "tests.support.processors", str(out), *map(str, cases)]
     return subprocess.Popen(command, cwd=ROOT, env=env, text=True, stderr=subprocess.PIPE)
 

@@ -120,7 +120,9 @@ class Archive:
     def _manifest(self, size: int, *, known: bool) -> Any:
         """The manifest of `size` bytes; `known` says that its signature is by a key that is
         believed."""
-        if not 0 <= size <= (LARGEST_MANIFEST if known else LARGEST_UNSIGNED):
+        if size < 0:
+            raise BadArchive(f"the manifest says that it has {size} bytes")
+        if size > (LARGEST_MANIFEST if known else LARGEST_UNSIGNED):
             raise BadArchive(
                 f"the manifest has {size} bytes, and nothing shows who signed it",
                 hint="Give the key that signs it now.",
