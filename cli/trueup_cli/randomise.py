@@ -156,7 +156,7 @@ def _show(document: dict[str, Any]) -> None:
         ["number", "family box", "sample box", "deployment"],
         [
             (name, _ends(boxes["family_box"], name), _ends(boxes["sample_box"], name), value)
-            for name, value in document["context"]["parameters"].items()
+            for name, value in sorted(document["context"]["parameters"].items())
         ],
     )
     if document["errors"]:

@@ -5,7 +5,6 @@ import os
 import pickle
 import subprocess
 import sys
-import time
 import uuid
 from contextlib import closing
 from pathlib import Path
@@ -18,6 +17,7 @@ from tests.support.made import episode_bytes, plant_document, save
 from tests.support.service import Service
 from tests.support.storage import SIGNING_KEY, embedded
 from trueup.episode.role import Role
+from trueup.ledger.signed_note import Signer
 from trueup_client import Client
 from trueup_service import engine as _shut  # noqa: F401  (as whatever uses the engine does)
 from trueup_service.errors import Pickled
@@ -84,6 +84,8 @@ def test_the_engine_reads_no_other_columns(tmp_path):
     assert serialized - {"workflow_events_history"} == {table for table, _ in READ} - {
         "workflow_schedules"
     }
+    columns = {(t, c["name"]) for t, _ in READ for c in found.get_columns(t)}
+    assert set(READ) <= columns
     database.close()
 
 
@@ -98,8 +100,21 @@ def test_a_planted_row_in_any_column_runs_nothing_in_a_worker_that_goes_on(stora
         service.start_worker()
         sound = client.submit("p", {"kind": "fit", "method": "residual"})["id"]
         assert client.wait(sound)["state"] == "succeeded"
-        time.sleep(0.5)
+        taken = until(lambda: no_longer_queued(storage))
+        assert victim in taken
+        assert len(taken) == 3  # with the one that nobody asked for
         assert not ran.exists()
+
+
+def no_longer_queued(storage) -> list[str]:
+    """The jobs of the engine once its worker has taken all of them; none before."""
+    with closing(storage.build()) as parts, parts.database.read() as connection:
+        table = "workflow_status" if parts.database.is_sqlite else "dbos.workflow_status"
+        rows = connection.execute(
+            text(f"SELECT workflow_uuid, status FROM {table} WHERE name = :name"),
+            {"name": WORKFLOW},
+        ).all()
+    return [] if any(row.status == "ENQUEUED" for row in rows) else [r.workflow_uuid for r in rows]
 
 
 def plant_rows(database: Database, ran: Path, victim: str) -> None:
@@ -153,6 +168,8 @@ def test_the_worker_beside_a_server_is_given_none_of_the_servers_secrets(tmp_pat
         environments = until(
             lambda: [e for e in environments_below(server.pid) if b"TRUEUP_DATA_DIR" in e]
         )
+        with closing(Client(service.url)) as client:  # as admin, and the server has the key
+            assert client.audit_key() == Signer.from_text(SIGNING_KEY).verifier
         assert all(
             SIGNING_KEY.encode() not in e and b"TRUEUP_ADMIN_TOKEN" not in e for e in environments
         )

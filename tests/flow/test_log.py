@@ -5,6 +5,7 @@ import base64
 import json
 import os
 import random
+import re
 import shutil
 import struct
 import subprocess
@@ -219,31 +220,30 @@ def test_a_robot_has_the_last_good_model_at_once_and_goes_on_without_the_service
 
 
 def test_a_robot_refuses_an_older_generation_a_forged_answer_and_one_for_another_plant(
-    told, tmp_path
+    told, tmp_path, monkeypatch
 ):
     service, _, client, _, _ = told
     robot = Robot(service.url, "p", tmp_path / "robot")
     old = client.serving_envelope("p")
+
+    def refused(envelope, error, why):
+        """What a robot says that is answered with an envelope of somebody else's."""
+        with monkeypatch.context() as service_of_another:
+            service_of_another.setattr(Client, "serving_envelope", lambda *_: envelope)
+            with pytest.raises(error, match=why):
+                robot.refresh()
+        assert robot.current().answer.generation == moved.generation
+
     robot.refresh()
     moved = move(client, "p", 1.3, LENIENT)
     assert robot.refresh().answer.generation == moved.generation
-    with pytest.raises(LogForked):
-        robot._require_later(robot._opened(old, robot._witness.key)[0])
+    refused(old, LogForked, "was answered after generation")
     payload = json.loads(base64.b64decode(old["payload"]))
-    with pytest.raises(NotSigned):
-        robot._opened(
-            old
-            | {
-                "payload": base64.b64encode(
-                    json.dumps(payload | {"generation": 99}).encode()
-                ).decode()
-            },
-            robot._witness.key,
-        )
+    forged = base64.b64encode(json.dumps(payload | {"generation": 99}).encode()).decode()
+    refused(old | {"payload": forged}, NotSigned, "sign")
     client.register_plant(plant_document("q"))
-    with pytest.raises(NotSigned):
-        robot._opened(client.serving_envelope("q"), robot._witness.key)
-    assert robot.current().answer.generation == moved.generation
+    refused(client.serving_envelope("q"), NotSigned, "not for plant 'p'")
+    assert robot.refresh().answer.generation == moved.generation
 
 
 def test_a_robot_whose_kept_answer_was_changed_has_none(told, tmp_path):
@@ -423,13 +423,17 @@ def run_fsck(told):
 
 def test_any_flipped_byte_is_found(kept):
     rng = random.Random(7)
-    missed = []
+    missed, touched = [], set()
     for _ in range(60):
         flipped = flip(kept, rng)
+        touched.add(re.split(r"[ .]", flipped.where)[0])
         if not found(kept):
             missed.append(flipped.where)
         flipped.undo()
     assert missed == []
+    # every kind of row that this plant has, the log, and bytes
+    assert touched >= {"plants", "episodes", "artifacts", "gates", "decisions", "moves", "serving"}
+    assert touched >= {"jobs", "audit", "audit_tree", "audit_head", "blob"}
     assert found(kept) == []
 
 
