@@ -2,13 +2,17 @@
 any other; so does a blind trial."""
 
 import json
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 
 import pytest
 
+from tests.flow.test_failures import until
 from tests.support.case import write_case
 from tests.support.service import command
 from tests.support.simulated import recorded_twice as recorded
 from trueup.blindtrial.commitment import require_commitments
+from trueup_client import Client
 
 
 @pytest.fixture(scope="module")
@@ -44,11 +48,16 @@ def test_its_model_is_kept_with_its_arrays_and_judged(service, done):
 def test_a_blind_trial_is_committed_before_it_is_diagnosed_and_opened_at_its_end(
     service, done, tmp_path
 ):
-    out = tmp_path / "trial"
-    command(service, "blindtrial", "simulated", "--out", str(out), "--trials", "2")
+    out, words = tmp_path / "trial", ("--trials", "2")
+    with closing(Client(service.url)) as client, ThreadPoolExecutor(1) as beside:
+        run = beside.submit(command, service, "blindtrial", "simulated", "--out", str(out), *words)
+        committed = until(lambda: commitments_of(client))[0]
+        # nothing is answered yet: the first machine takes seconds
+        assert client.job(committed["subject"])["result"] is None
+        run.result()
     report = json.loads((out / "report.json").read_text())
     entries = json.loads(command(service, "audit", "simulated", "--json").stdout)
-    (committed,) = [e for e in entries if e["kind"] == "blindtrial:committed"]
+    assert [e for e in entries if e["kind"] == "blindtrial:committed"] == [committed]
     opened = next(
         e for e in entries if e["kind"] == "job:finished" and e["subject"] == committed["subject"]
     )
@@ -57,3 +66,7 @@ def test_a_blind_trial_is_committed_before_it_is_diagnosed_and_opened_at_its_end
     require_commitments(report, committed["facts"]["commitments"])
     assert (out / "report.html").read_text().startswith("<!doctype html>")
     command(service, "audit", "verify")
+
+
+def commitments_of(client):
+    return [e for e in client.audit("simulated") if e["kind"] == "blindtrial:committed"]

@@ -1,6 +1,7 @@
 """A page whose name leads to the service's address (DNS rebinding) is not answered: hosts are
 checked against a list."""
 
+import asyncio
 import socket
 import uuid
 
@@ -9,7 +10,7 @@ import pytest
 from tests.http.test_http import problem, request
 from tests.support.service import Service
 from tests.support.storage import Storage, embedded
-from trueup_service.http.hosts import allowed_hosts, is_allowed
+from trueup_service.http.hosts import AllowedHosts, allowed_hosts, is_allowed
 from trueup_service.settings import Settings
 
 FOREIGN = [
@@ -66,7 +67,15 @@ def test_names_of_the_settings_are_known(tmp_path):
 
 
 def test_a_star_allows_any_name_and_the_name_to_listen_at_is_its_own():
-    assert "*" in allowed_hosts(Settings(allowed_hosts="*"))
+    asked = []
+
+    async def app(scope, _receive, _send):
+        asked.append(dict(scope["headers"])[b"host"].decode())
+
+    for host in FOREIGN:
+        scope = {"type": "http", "path": "/v1/plants", "headers": [(b"host", host.encode())]}
+        asyncio.run(AllowedHosts(app, Settings(allowed_hosts="*"))(scope, None, None))
+    assert asked == FOREIGN
     assert is_allowed("robots.lab:8321", allowed_hosts(Settings(host="robots.lab")))
     assert is_allowed(socket.gethostname(), allowed_hosts(Settings()))
     assert not is_allowed("robots.lab:8321", allowed_hosts(Settings(host="0.0.0.0")))

@@ -577,20 +577,28 @@ def test_an_artifact_tells_where_it_comes_from(client, plant, tmp_path):
 # -- whoever asks
 
 
-def test_the_actor_stands_on_every_change(service, plant):
-    body = json.dumps(plant_document(f"p{uuid.uuid4().hex[:8]}"))
-    request(
-        service,
-        "POST",
-        "/v1/plants",
-        body,
-        Content_Type="application/json",
-        Trueup_Actor="ada@bench",
-    )
-    last = json.loads(
-        request(service, "GET", f"/v1/audit?limit=1000&plant={json.loads(body)['name']}")[2]
-    )["items"][-1]
-    assert last["actor"] == "admin for ada@bench"
+def test_the_actor_stands_on_every_change(service, tmp_path):
+    name = f"p{uuid.uuid4().hex[:8]}"
+    with contextlib.closing(Client(service.url, actor="ada@bench")) as ada:
+        ada.register_plant(plant_document(name))
+        ada.promote(name, accepted(ada, name, 1.2), 1)
+        ada.roll_back(name, 2)
+        ada.declare_channel(name, "field", [])
+        ada.upload_episode(name, save(tmp_path, "e.mcap", episode_bytes(1)))
+        ada.wait(ada.submit(name, {"kind": "fit", "method": "identify"})["id"])
+        made = [(e["kind"], e["actor"]) for e in ada.audit(name)]
+    assert {actor for _, actor in made} == {"admin for ada@bench"}
+    assert {kind for kind, _ in made} == {
+        "plant:registered",
+        "episode:ingested",
+        "artifact:added",
+        "gate:declared",
+        "job:submitted",
+        "job:finished",
+        "decision:made",
+        "pointer:moved",
+        "channel:declared",
+    }
 
 
 def test_a_request_id_is_kept_if_it_is_plain(service):

@@ -213,5 +213,6 @@ def test_json_that_is_nested_without_end_is_refused(server, opening):
         "/v1/plants/p/artifacts",
         "/v1/tokens",
     ):
-        status, code, _ = problem(service, "POST", path, body, Content_Type="application/json")
-        assert status in {400, 422}, (path, code)
+        found = problem(service, "POST", path, body, Content_Type="application/json")[:2]
+        artifact = path.endswith("artifacts")  # whose body is kept as it was sent
+        assert found == ((422, "bad-artifact") if artifact else (400, "bad-request")), path

@@ -257,9 +257,7 @@ def test_an_artifact_becomes_a_folder_that_loads_by_either_flavor(service, mlflo
     ]
     (tmp_path / "m" / "artifact" / "manifest.json").write_text("{}")
     with pytest.raises(BadArtifact):
-        loaded.__class__.__module__ and importlib.import_module(
-            flavors["python_function"]["loader_module"]
-        )._load_pyfunc(str(tmp_path / "m" / "artifact"))
+        mlflow_model._load_pyfunc(str(tmp_path / "m" / "artifact"))
 
 
 def test_what_was_changed_in_the_registry_is_not_taken_for_what_it_was(
@@ -276,17 +274,17 @@ def test_what_was_changed_in_the_registry_is_not_taken_for_what_it_was(
 
 
 @pytest.mark.parametrize(
-    "address",
+    ("address", "told"),
     [
-        "http://u:s3@h:5/x",
-        "postgresql://u:s/3@h/db",
-        "postgresql://h/db?password=s3",
-        "sqlite:///x@y.db",
-        "/a/b",
+        ("http://u:s3@h:5/x", "http://h:5"),
+        ("postgresql://u:s/3@h/db", "postgresql"),
+        ("postgresql://h/db?password=s3", "postgresql"),
+        ("sqlite:///x@y.db", "sqlite"),
+        ("/a/b", "file"),
     ],
 )
-def test_what_is_told_of_a_registry_holds_no_password(service, address):
-    assert passing.without_credentials(address) in {"http://h:5", "postgresql", "sqlite", "file"}
+def test_what_is_told_of_a_registry_holds_no_password(service, address, told):
+    assert passing.without_credentials(address) == told
 
 
 def test_names_that_differ_stay_different(service):

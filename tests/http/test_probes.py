@@ -3,12 +3,14 @@ which answers three."""
 
 import hashlib
 import json
+import socket
 import uuid
 
 import pytest
 
 from tests.http.test_http import accepted, problem, request
 from tests.support.made import episode_bytes, identified, plant_document, save
+from trueup.canonical import canonical_bytes
 from trueup_client import Problem
 
 JSON = {"Content_Type": "application/json"}
@@ -119,21 +121,24 @@ def test_11_a_name_is_never_a_path(service, name, of_blob):
     assert request(service, "GET", f"/v1/blobs/{name}")[0] == of_blob
 
 
-@pytest.mark.parametrize(
-    "source", ["http://127.0.0.1:1/model", "file:///etc/passwd", "s3://bucket/key"]
-)
-def test_12_no_address_that_a_client_gives_is_taken(service, moved, source):
-    manifest = json.dumps({"schema": "trueup.artifact/1", "source": source, "uri": source}).encode()
-    assert (
-        400
-        <= problem(service, "POST", f"/v1/plants/{moved[0]}/artifacts", manifest, **JSON)[0]
-        < 500
-    )
-    body = json.dumps({"kind": "fit", "method": "identify", "source": source})
-    assert problem(service, "POST", f"/v1/plants/{moved[0]}/jobs", body, **JSON)[:2] == (
-        422,
-        "invalid-request",
-    )
+def test_12_no_address_that_a_client_gives_is_asked(service, client, moved):
+    plant, sound = moved[0], json.loads(identified(moved[0], 1.24).manifest)
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        source = f"http://127.0.0.1:{listening.getsockname()[1]}/model"
+        known = {**sound["provenance"], "uri": source}
+        manifest = canonical_bytes({**sound, "source": source, "provenance": known})
+        candidate = client.add_artifact(plant, manifest)["digest"]
+        kept = request(service, "GET", f"/v1/plants/{plant}/artifacts/{candidate}/manifest")[2]
+        assert kept == manifest  # words like others, whatever they name
+        gate = client.gate_in_force(plant)["digest"]
+        job = client.submit(plant, {"kind": "gate", "candidate": candidate, "gate": gate})
+        assert client.wait(job["id"])["state"] == "succeeded"
+        body = json.dumps({"kind": "fit", "method": "identify", "source": source})
+        refused = problem(service, "POST", f"/v1/plants/{plant}/jobs", body, **JSON)
+        assert refused[:2] == (422, "invalid-request")
+        listening.setblocking(False)
+        with pytest.raises(BlockingIOError):  # nobody has come
+            listening.accept()
 
 
 def test_13_the_same_bytes_are_the_same_thing_and_come_back_as_they_were(client, moved, tmp_path):

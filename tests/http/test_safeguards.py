@@ -68,7 +68,7 @@ def test_the_summary_of_an_episode_says_what_its_safeguards_did(client, plant):
 
 
 def test_only_an_admin_may_take_the_requirement_away(service, client, plant):
-    name, _, policy = plant
+    name, digests, policy = plant
     token = client.issue_token("op", ["operator"])["token"]
     with Client(service.url, token=token) as operator:
         with pytest.raises(Problem) as refused:
@@ -77,3 +77,8 @@ def test_only_an_admin_may_take_the_requirement_away(service, client, plant):
     with pytest.raises(Problem) as wrong:
         client.declare_policy(name, {**policy, "safeguards": "perhaps"})
     assert wrong.value.code == "bad-policy"
+    client.declare_policy(name, policy)
+    job = client.submit(name, {"kind": "fit", "method": "identify"})
+    assert job["request"]["episodes"] == digests
+    client.cancel(job["id"])
+    client.declare_policy(name, {**policy, "safeguards": "require"})

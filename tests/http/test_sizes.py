@@ -4,6 +4,7 @@ listings of long documents."""
 import hashlib
 import http.client
 import json
+import re
 import uuid
 from contextlib import closing
 
@@ -29,19 +30,21 @@ def plant(client):
 
 def test_json_over_the_limit_is_413_on_every_route_that_reads_a_body(service, plant):
     body = json.dumps({"name": "x" * (5 << 20)})
-    for path in (
-        "/v1/plants",
-        f"/v1/plants/{plant}/gates",
-        f"/v1/plants/{plant}/jobs",
-        f"/v1/plants/{plant}/evidence",
-        "/v1/tokens",
-    ):
-        status, code, document = problem(service, "POST", path, body, **JSON)
-        assert (status, code, document["facts"]["limit_bytes"]) == (
-            413,
-            "upload-too-large",
-            4 << 20,
+    described = json.loads(request(service, "GET", "/openapi.json")[2])["paths"]
+    routes = [
+        (
+            method.upper(),
+            re.sub(r"\{(\w+)\}", lambda m: plant if m[1] == "plant" else "0" * 64, path),
         )
+        for path, operations in described.items()
+        for method, operation in operations.items()
+        if "application/json" in operation.get("requestBody", {}).get("content", {})
+    ]
+    assert len(routes) > 15
+    for method, path in routes:
+        status, code, document = problem(service, method, path, body, **JSON)
+        limit = (16 << 10) if path == "/v1/session" else (4 << 20)  # one needs no token
+        assert (status, code, document["facts"]["limit_bytes"]) == (413, "upload-too-large", limit)
 
 
 # -- damaged bytes

@@ -11,6 +11,7 @@ import pytest
 
 from tests.http.test_http import accepted, problem, request
 from tests.support.forks import run
+from tests.support.gates import LENIENT
 from tests.support.hostile import CONTROLS, EVIL, hostile
 from tests.support.made import plant_document
 from tests.support.service import ADMIN, ROOT
@@ -121,18 +122,19 @@ def test_nothing_that_a_terminal_obeys_comes_out_of_a_command(filled, tmp_path, 
 
 
 @pytest.mark.parametrize(
-    "words",
+    ("words", "seen"),
     [
-        ["upload", "p", "--\x1b]0;x\x07"],
-        ["\u202e"],
-        ["look", "--data", "\x9b2J"],
-        ["gc", "--older", "\x1b[2J"],
+        (["upload", "p", "--\x1b]0;x\x07"], "--\\x1b]0;x\\x07"),
+        (["\u202e"], "\\u202e"),
+        (["look", "--data", "\x9b2J"], "\\x9b2J"),
+        (["gc", "--older-than-h", "\x1b[2J"], "\\x1b[2J"),
     ],
 )
-def test_what_is_misused_is_shown_and_not_obeyed(words):
+def test_what_is_misused_is_shown_and_not_obeyed(words, seen):
     done = run("trueup_cli.main", words, {**os.environ, "NO_COLOR": "1", "COLUMNS": "200"}, ROOT)
-    assert done.returncode != 0
+    assert done.returncode == 2
     assert not CONTROLS & set(done.stdout + done.stderr)
+    assert seen in done.stderr
 
 
 @pytest.mark.parametrize("service", ["embedded"], indirect=True)
@@ -187,10 +189,24 @@ def test_an_actor_that_a_terminal_obeys_is_refused(service):
     assert request(service, "POST", "/v1/plants", body, Trueup_Actor="Zoé", **JSON)[0] == 201
 
 
-def test_names_of_tokens_and_reasons_are_one_line_of_text(service):
+def test_names_of_tokens_and_reasons_are_one_line_of_text(service, client):
+    plant = f"p{uuid.uuid4().hex[:12]}"
+    client.register_plant(plant_document(plant))
+    first = client.declare_gate(plant, LENIENT)["digest"]
     for name in ("a\x1b[2J", "a\x9b2J", "a\u202eb", "a\nb"):
         body = json.dumps({"name": name, "roles": ["auditor"]})
         assert problem(service, "POST", "/v1/tokens", body, **JSON)[:2] == (422, "invalid-request")
+        body = json.dumps({"because": name})
+        for path in (f"decisions/{'0' * 64}/approvals", f"alarms/{'0' * 32}/close"):
+            answer = problem(service, "POST", f"/v1/plants/p/{path}", body, **JSON)
+            assert answer[:2] == (422, "invalid-request")
+            assert [f["field"] for f in answer[2]["facts"]["fields"]] == ["body.because"]
+    other = {**LENIENT, "scoring": {"horizon_s": 1.0, "windows": "every"}}
+    for reason in ("a\x1b[2J", "a\x9b2J", "a\u202eb"):  # which may have several lines
+        gate = json.dumps({**other, "follows": first, "because": reason})
+        answer = problem(service, "POST", f"/v1/plants/{plant}/gates", gate, **JSON)
+        assert answer[:2] == (422, "bad-gate")
+        assert "because holds the control character" in answer[2]["detail"]
 
 
 def test_a_line_of_the_log_is_one_line_of_ascii():
