@@ -137,6 +137,29 @@ def test_an_effect_that_is_not_what_it_says_is_caught(law, monkeypatch):
         forget_nulls()
 
 
+def test_an_effect_whose_own_function_is_not_what_was_compiled_is_caught(monkeypatch):
+    drag = effects()["quadratic_drag"]
+    effect_laws.compiled_equals_numpy(drag)  # which compiles it as it is
+
+    def otherwise(a, v, coefficient):
+        return a - 1.001 * coefficient * abs(v) * v
+
+    monkeypatch.setattr(drag, "apply", staticmethod(otherwise))
+    with pytest.raises(LawBroken):
+        effect_laws.compiled_equals_numpy(drag)
+
+
+def test_an_effect_that_sees_commands_to_come_is_caught(monkeypatch):
+    rolled = effect_laws._rolled
+
+    def foreseeing(values, effect, scheme, commands):
+        return rolled(values, effect, scheme, np.roll(commands, -1))
+
+    monkeypatch.setattr(effect_laws, "_rolled", foreseeing)
+    with pytest.raises(LawBroken):
+        effect_laws.looks_only_back(effects()["coulomb_friction"])
+
+
 @pytest.mark.parametrize("law", family_laws.LAWS, ids=lambda f: f.__name__)
 @pytest.mark.parametrize("name", list(families()))
 def test_families(law, name):
@@ -222,6 +245,25 @@ def test_a_family_that_compiles_to_something_else_is_caught():
         dynamics_laws.compiled_equals_numpy(
             CompiledFamily(_TwoFaced), np.ones((dynamics_laws.VECTORS, 1)), "two-faced"
         )
+
+
+class _Restless(CompiledFamily):
+    """Dynamics that move in no time, and whose inertia does not resist."""
+
+    def step(self, states, applied, parameters, h_s):
+        return super().step(states, applied, parameters, h_s) + 1e-9
+
+    def inertia(self, parameters, q):
+        return -super().inertia(parameters, q)
+
+
+@pytest.mark.parametrize("law", [dynamics_laws.no_time_no_motion, dynamics_laws.inertia_resists])
+def test_a_planted_fault_in_dynamics_is_caught(law):
+    oscillator = families()["oscillator"]
+    parameters = np.ones((dynamics_laws.VECTORS, len(oscillator.params)))
+    law(CompiledFamily(oscillator), parameters, "oscillator")
+    with pytest.raises(LawBroken):
+        law(_Restless(oscillator), parameters, "restless")
 
 
 @dataclass

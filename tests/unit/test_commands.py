@@ -133,23 +133,25 @@ def test_doctor_prints_json():
     assert {"python", "numba", "onnx"} <= {f["part"] for f in parts}
 
 
-def test_shells_complete_commands_and_options_and_plants(tmp_path):
+def completed(line, script, **environment):
+    """What a shell proposes for the last word of a line."""
+    words = line.split(" ")
+    typed = (
+        f'source "$1"; COMP_WORDS=({line}); COMP_CWORD={len(words) - 1}; _trueup; '
+        'echo "${COMPREPLY[@]}"'
+    )
+    command = ["bash", "-c", typed, "_", script]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    return done.stdout.split()
+
+
+def test_shells_complete_commands_and_options(tmp_path):
     for shell in SHELLS:
         assert "diagnose" in run("completion", shell).stdout
     script = run("completion", "bash").stdout
     (tmp_path / "c.sh").write_text(script)
-    script_line = (
-        'source "$1"; COMP_WORDS=(trueup fetch --a); COMP_CWORD=2; _trueup; echo "${COMPREPLY[@]}"'
-    )
-    assert (
-        subprocess.run(
-            ["bash", "-c", script_line, "_", tmp_path / "c.sh"],
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
-        == "--artifact\n"
-    )
+    assert completed("trueup fetch --a", tmp_path / "c.sh") == ["--artifact"]
+    assert {"diagnose", "diagnosis"} <= set(completed("trueup diagn", tmp_path / "c.sh"))
     run("completion", "bash", "--install", "--to", str(tmp_path / "there.sh"))
     assert (tmp_path / "there.sh").read_text().strip() == script.strip()
     unknown = run("completion", SHELL="/bin/nothing", PATH="/nowhere")

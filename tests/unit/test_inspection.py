@@ -1,6 +1,7 @@
 """An upload is inspected by a process that may die of it, and nobody else does."""
 
 import asyncio
+import hashlib
 import json
 import os
 import signal
@@ -47,9 +48,27 @@ def test_many_are_inspected_by_children_of_one_process(sound):
             found = await asyncio.gather(*(inspector.inspect(sound, HELD) for _ in range(6)))
             return found, of(inspector)
 
-    found, (_, children) = asyncio.run(many())
-    assert len({f.digest for f in found}) == 1
-    assert len(children) <= 2  # and those have answered
+    found, _ = asyncio.run(many())
+    assert {f.digest for f in found} == {hashlib.sha256(sound.read_bytes()).hexdigest()}
+
+
+def test_no_more_are_inspected_at_once_than_it_was_told(tmp_path):
+    endless = tmp_path / "endless.mcap"
+    os.mkfifo(endless)  # opening it for reading waits for a writer, for ever
+
+    async def three():
+        async with inspecting() as inspector:
+            asked = [asyncio.create_task(inspector.inspect(endless, HELD)) for _ in range(3)]
+            while inspector._process is None or len(of(inspector)[1]) < 2:
+                await asyncio.sleep(0.01)
+            await asyncio.sleep(0.3)  # many times what another one needs to begin
+            children = of(inspector)[1]
+            for task in asked:
+                task.cancel()
+            await asyncio.gather(*asked, return_exceptions=True)
+            return children
+
+    assert len(asyncio.run(three())) == 2
 
 
 def test_a_file_that_is_no_episode_is_told_with_its_code(tmp_path):
@@ -59,7 +78,7 @@ def test_a_file_that_is_no_episode_is_told_with_its_code(tmp_path):
 
     with pytest.raises(BadEpisode) as refused:
         asyncio.run(one())
-    assert refused.value.code != BadEpisode.code
+    assert refused.value.code == "malformed-mcap"
 
 
 @pytest.mark.parametrize(

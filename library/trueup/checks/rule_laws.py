@@ -14,6 +14,7 @@ from trueup.fit.score import Score
 from trueup.gate.rule import BOUND, Rule, Trial
 
 EPISODES, TRIALS = 4, 60
+CELLS = (("none",), ("none",), ("2 kg",), ("2 kg",))  # of each episode
 
 
 def _trials() -> Iterator[Trial]:
@@ -25,11 +26,13 @@ def _trials() -> Iterator[Trial]:
 
 
 def _trial(candidate: Score, incumbent: Score, names: tuple[str, ...]) -> Trial:
-    """A trial whose closed-loop errors are its rollout errors."""
+    """A trial in two conditions, whose closed-loop errors are its rollout errors."""
     return Trial(
         candidate,
         incumbent,
         names,
+        CELLS,
+        ("payload",),
         tracking=Tracking(candidate.rollout, incumbent.rollout, (0.0, 0.0), (1.0,)),
     )
 

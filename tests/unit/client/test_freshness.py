@@ -24,12 +24,11 @@ def test_before_the_first_of_either_nothing_is_fresh():
 
 def test_each_ages_by_itself_and_is_stale_after_its_own_timeout():
     clock = Clock()
-    fresh = Freshness(0.12, 60.0, clock)
+    fresh = Freshness(0.125, 60.0, clock)
     fresh.observed()
     fresh.confirmed()
-    clock.now += 0.12
-    # at the timeout, but for rounding
-    assert fresh.ages().fresh or fresh.ages().observation_s > 0.12
+    clock.now += 0.125  # which a float holds as it is
+    assert (fresh.ages().fresh, fresh.ages().observation_s) == (True, 0.125)
     clock.now += 0.01
     assert fresh.ages().stale == ("observation",)
     fresh.observed()

@@ -212,7 +212,7 @@ def test_a_joint_that_never_moves_is_no_case():
         )
         for e in episodes
     ]
-    with pytest.raises(NotIdentifiable):
+    with pytest.raises(NotIdentifiable, match="never moves"):
         diagnose(plant, still)
 
 

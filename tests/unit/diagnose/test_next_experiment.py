@@ -54,7 +54,7 @@ def test_a_late_drive_of_one_joint_might_be_a_late_sensor_and_no_command_says_wh
     assert "sensor's own clock" in found.why
 
 
-def test_a_command_that_tells_two_answers_apart_stays_inside_limits_and_rates(case):
+def test_a_command_that_tells_two_answers_apart_stays_inside_the_limits(case):
     plant = case[0]
     winner, rival = (having(case[2], e) for e in ("coulomb_friction", "cubic_stiffness"))
     found = experiment(case, winner, rival)
@@ -65,6 +65,17 @@ def test_a_command_that_tells_two_answers_apart_stays_inside_limits_and_rates(ca
     assert np.ptp(found.command) > 0.0
     text = found.csv(plant)
     assert len([x for x in text.splitlines() if x[0].isdigit()]) == len(found.t_s)
+
+
+def test_where_no_envelope_is_declared_a_command_changes_no_faster_than_was_recorded(case):
+    plant, quality, search, recordings = case
+    assert plant.envelope
+    case = replace(plant, envelope={}), quality, search, recordings
+    winner, rival = (having(search, e) for e in ("coulomb_friction", "cubic_stiffness"))
+    found = experiment(case, winner, rival)
+    steps = np.abs(np.diff(found.command, axis=0)) / np.diff(found.t_s)[:, None]
+    fastest = Recorded.of(plant, recordings.adaptation).rate
+    assert 0.0 < steps.max() <= fastest * (1.0 + 1e-9)
 
 
 def test_an_answer_is_not_told_from_itself(case):

@@ -12,7 +12,7 @@ from trueup.diagnose.strategy import ROBOT as ROBOT_EFFORT
 from trueup.model.corrected import Corrected
 from trueup.model.mjcf import resolved
 from trueup.model.plant import Plant
-from trueup.model.predictor import Nominal
+from trueup.model.predictor import Identified, Nominal
 
 LEVER = """<mujoco><option timestep="0.004" integrator="implicitfast"/><worldbody><body>
 <joint name="lever" axis="0 1 0" damping="0.1" armature="0.01"/>
@@ -76,10 +76,14 @@ def test_fits_of_a_robot_are_carried_to_the_end_where_laws_hold_exactly(joint, l
     assert not strategy_for(lever, PHYSICAL).thorough
 
 
-def test_every_predictor_of_a_robot_of_one_joint_holds_a_command_alike(lever):
+def test_predictors_with_the_nominal_numbers_hold_a_command_alike_at_a_robot_of_one_joint(lever):
     states, commands = np.array([[0.2, 0.0], [-0.4, 1.0]]), np.array([[0.3], [-0.1]])
     nominal = Nominal(lever).hold(states, commands, 5)
-    corrected = Corrected.of_numbers(lever, lever.parameters).hold(states, commands, 5)
     assert nominal.shape == (2, 5, 2)
-    np.testing.assert_allclose(corrected, nominal, rtol=1e-12, atol=1e-15)
+    for model in (
+        Identified(lever, lever.parameters),
+        Corrected.of_numbers(lever, lever.parameters),
+    ):
+        held = model.hold(states, commands, 5)
+        np.testing.assert_allclose(held, nominal, rtol=1e-12, atol=1e-15)
     assert not np.allclose(nominal[:, -1], states)

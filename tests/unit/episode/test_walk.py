@@ -300,6 +300,29 @@ def test_a_broken_file_is_refused_with_its_rule_and_byte(name):
     assert 0 <= refused.value.facts["byte"] <= len(data)
 
 
+DATA = len(MAGIC) + len(record(Op.HEADER, text("") + text("")))  # where the first record begins
+CULPRITS = {  # where the record begins that breaks the rule
+    "no magic": 0,
+    "two headers": DATA,
+    "record kind 0": DATA,
+    "length beyond the file": DATA,
+    "chunk checksum": DATA,
+    "cut lz4": DATA,
+    "schema defined twice": DATA + len(SCHEMA),
+    "channel defined twice": DATA + len(SCHEMA + CHANNEL),
+    "message on no channel": DATA + len(SCHEMA + CHANNEL),
+    "message index of half an entry": DATA + len(SCHEMA + CHANNEL),
+    "bytes behind the end": len(SOUND),
+}
+
+
+@pytest.mark.parametrize("name", CULPRITS)
+def test_the_byte_is_that_of_the_record_that_breaks_the_rule(name):
+    with pytest.raises(MalformedMcap) as refused:
+        walk(BROKEN[name][0])
+    assert refused.value.facts["byte"] == CULPRITS[name]
+
+
 LARGE = {
     "file": (SOUND, Limits(file_bytes=10), "file_bytes"),
     "record": (SOUND, Limits(record_bytes=3), "record_bytes"),
@@ -362,10 +385,13 @@ def test_a_limit_is_held(name):
     assert refused.value.facts["limit"] == limit
 
 
+WHOLE = file(SCHEMA, CHANNEL, chunk(MESSAGE * 3), MESSAGE, summary=statistics(4, 1))
+
+
 @settings(max_examples=300)
-@given(st.integers(0, len(SOUND) - 1), st.integers(1, 255))
+@given(st.integers(0, len(WHOLE) - 1), st.integers(1, 255))
 def test_a_flipped_byte_is_read_or_refused_but_never_anything_else(at, by):
-    data = bytearray(file(SCHEMA, CHANNEL, chunk(MESSAGE * 3), MESSAGE, summary=statistics(4, 1)))
+    data = bytearray(WHOLE)
     data[at] ^= by
     with contextlib.suppress(BadEpisode):
         walk(bytes(data))
