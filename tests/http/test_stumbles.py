@@ -8,7 +8,8 @@ from contextlib import closing
 import pytest
 
 from tests.support.made import TRUE, episode_bytes, identified, plant_document, save
-from tests.support.service import command
+from tests.support.service import ADMIN, command
+from tests.unit.test_commands import completed
 from trueup.episode.role import Role
 from trueup_client import Client
 
@@ -102,6 +103,16 @@ def test_names_and_tokens_that_nobody_knows_lead_on(service, wrong, monkeypatch,
     monkeypatch.delenv("TRUEUP_TOKEN")
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     assert "TRUEUP_DATA_DIR" in wrong("plant", "list")[1]["hint"]
+
+
+def test_a_shell_completes_names_of_plants_and_takes_none_where_nobody_answers(
+    service, plant, tmp_path
+):
+    script = tmp_path / "completion.sh"
+    script.write_text(command(service, "completion", "bash").stdout)
+    line = f"trueup serving --plant {plant[:10]}"
+    assert plant in completed(line, script, TRUEUP_URL=service.url, TRUEUP_TOKEN=ADMIN)
+    assert completed(line, script, TRUEUP_URL="http://127.0.0.1:9") == []
 
 
 def test_a_gate_says_what_it_needs_and_a_case_is_not_written_over(service, wrong, plant, tmp_path):

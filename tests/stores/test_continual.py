@@ -176,7 +176,7 @@ def test_an_alarm_is_diagnosed_once_there_is_something_to_diagnose_and_again_at_
     assert jobs(parts) == ["diagnose"] * 2
 
 
-def test_a_policy_that_asks_leaves_every_step_to_a_person(parts):
+def test_a_policy_that_asks_at_an_alarm_leaves_the_diagnosis_to_a_person(parts):
     with parts.database.write() as connection:
         tx = Transaction(connection)
         gate, _ = declare_gate(tx, "p", None, at(1))
@@ -190,6 +190,47 @@ def test_a_policy_that_asks_leaves_every_step_to_a_person(parts):
     add_episode(parts, "c", "validation", 6)
     go_on(parts, 7)
     assert jobs(parts) == []
+
+
+@pytest.mark.parametrize(
+    ("step", "tried", "generation"),
+    [({"on_diagnosis": "ask"}, False, 1), ({"on_acceptance": "ask"}, True, 1), ({}, True, 2)],
+)
+def test_a_policy_that_asks_at_a_later_step_leaves_that_one_to_a_person(
+    parts, step, tried, generation
+):
+    candidate, promotes = "f" * 64, {"on_acceptance": "promote"}
+    with parts.database.write() as connection:
+        tx = Transaction(connection)
+        gate, _ = declare_gate(tx, "p", None, at(1))
+        policy = UpdatePolicy(gate.digest, **{**promotes, **step})
+        declare_policy(tx, "p", policy.document(), at(2))
+        raise_alarm(tx, "0" * 32, "p", None, serving_of(tx), FOUND, at(3))
+    add_episode(parts, "b", "adaptation", 4, start_ns=1)
+    add_episode(parts, "c", "validation", 5, start_ns=2)
+    go_on(parts, 6)
+    with parts.database.write() as connection:
+        tx = Transaction(connection)
+        tx.artifacts.add(
+            ArtifactRecord("p", 2, candidate, "corrected", "{}", None, None, at(7).now, "worker")
+        )
+        cycle = Cycle(tx, parts.queue, lambda: "3" * 32, at(7))
+        cycle.diagnosed(tx.jobs.last("p", "diagnose"), candidate, "effect")
+        trial = tx.alarms.open("p").trial
+        assert (trial is not None) == tried
+        if trial is not None:
+            document = {
+                "gate": gate.digest,
+                "candidate": candidate,
+                "accepted": True,
+                "incumbent": serving_of(tx),
+                "generation": 1,
+                "episodes": ["c" * 64],
+            }
+            made = record_decision(tx, "p", document, trial, at(8))
+            cycle.judged(tx.jobs.get(trial), made, {"seconds": 0.0})
+        assert tx.serving.now("p").generation == generation
+        assert (tx.alarms.open("p") is None) == (generation == 2)
 
 
 def test_a_policy_names_a_gate_that_was_declared(parts):

@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 
 import pytest
-from sqlalchemy import text
+from sqlalchemy import event, func, select, text
 
 from tests.support.made import plant_document
 from trueup.canonical import digest_of
@@ -24,7 +24,8 @@ from trueup_service.errors import Conflict, KeyReused, NotWhole
 from trueup_service.registry.blobs import BlobMissing
 from trueup_service.registry.records import ArtifactRecord, JobRecord, JobState
 from trueup_service.registry.repository import Repository
-from trueup_service.registry.schema import current, migrate
+from trueup_service.registry.schema import altered, current, migrate
+from trueup_service.registry.tables import metadata
 from trueup_service.registry.transaction import ReadTransaction, Transaction
 
 CONTEXT = ActorContext("tester", "2026-01-01T00:00:00.000000Z")
@@ -89,7 +90,22 @@ def promote(parts, plant, version, second):
 
 def test_a_fresh_database_is_at_the_head_and_migrating_again_changes_nothing(parts):
     assert current(parts.database) == HEAD
+    with parts.database.write() as connection:
+        register_plant(Transaction(connection), plant_document("p"), CONTEXT)
+    before = rows(parts)
+    assert before["plants"] == 1
     migrate(parts.database)
+    assert (current(parts.database), rows(parts)) == (HEAD, before)
+    assert list(altered(parts.database)) == []
+
+
+def rows(parts):
+    """How many rows each table has."""
+    with read(parts) as connection:
+        return {
+            name: connection.scalar(select(func.count()).select_from(table))
+            for name, table in metadata.tables.items()
+        }
 
 
 def test_a_database_that_says_another_schema_than_it_has_is_refused_in_words(parts):
@@ -314,19 +330,27 @@ def test_reads_of_a_job_are_noted_once(parts, plant):
 
 
 def test_the_serving_pointer_alone_reads_no_other_version(parts, plant):
-    """The query behind GET serving touches one row of two tables by their keys."""
-    with parts.database.write() as connection:
-        tx = Transaction(connection)
-        for version in range(2, 40):
-            add_version(tx, plant, version)
-    if parts.database.is_sqlite:
-        query = (
-            "EXPLAIN QUERY PLAN SELECT * FROM moves JOIN serving USING (plant, generation) "
-            "WHERE serving.plant = 'p'"
-        )
-        with read(parts) as connection:
-            plan = [row[-1] for row in connection.execute(text(query))]
-        assert all(line.startswith("SEARCH") for line in plan), plan
+    """What is asked for GET serving finds its rows by their keys, and looks through no table."""
+    asked = []
+
+    def note(_connection, _cursor, statement, values, *_):
+        if statement.startswith("SELECT"):
+            asked.append((statement, values))
+
+    with read(parts) as connection:
+        event.listen(connection, "before_cursor_execute", note)
+        assert ReadTransaction(connection).serving.now(plant).generation == 1
+        event.remove(connection, "before_cursor_execute", note)
+        assert asked
+        explain = "EXPLAIN QUERY PLAN" if parts.database.is_sqlite else "EXPLAIN"
+        if not parts.database.is_sqlite:  # which looks through a table of two rows, if it may
+            connection.exec_driver_sql("SET LOCAL enable_seqscan = off")
+        for statement, values in asked:
+            plan = [
+                str(row[-1]) for row in connection.exec_driver_sql(f"{explain} {statement}", values)
+            ]
+            assert any("USING INDEX" in line or "Index" in line for line in plan), plan
+            assert not any(line.startswith("SCAN") or "Seq Scan" in line for line in plan), plan
 
 
 class TestBlobs:

@@ -76,11 +76,25 @@ def test_every_command_that_is_run_is_one():
     assert set(run) == {"serve", "work", "migrate"} <= set(_COMMANDS)
 
 
+def pods(document):
+    """The pod that a document describes, if it does."""
+    template = (document.get("spec") or {}).get("template")
+    return [template["spec"]] if template else []
+
+
 def test_nothing_runs_as_root_and_probes_ask_what_there_is():
     found = list(containers())
     assert len(found) == 3
+    contexts = [
+        pod["securityContext"]
+        for path in (DEPLOY / "kubernetes").glob("*.yaml")
+        for document in yaml.safe_load_all(path.read_text())
+        for pod in pods(document)
+    ]
+    assert [(c["runAsNonRoot"], c["runAsUser"]) for c in contexts] == [(True, 10001)] * 3
     for container in found:
         assert container["securityContext"]["readOnlyRootFilesystem"]
+        assert not container["securityContext"]["allowPrivilegeEscalation"]
         assert container["securityContext"]["capabilities"] == {"drop": ["ALL"]}
     server = next(c for c in found if c["name"] == "server")
     assert {

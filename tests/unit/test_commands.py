@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 from cyclopts import App
@@ -141,7 +142,9 @@ def completed(line, script, **environment):
         'echo "${COMPREPLY[@]}"'
     )
     command = ["bash", "-c", typed, "_", script]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    here = {**os.environ, "PATH": path, **environment}
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=here)
     return done.stdout.split()
 
 
