@@ -1,6 +1,7 @@
 """A robot from MJCF or URDF: the same motion as MuJoCo's own, and refusals that say what to do."""
 
 import importlib
+import sys
 from dataclasses import replace
 
 import mujoco
@@ -97,18 +98,47 @@ def test_dry_friction_stops_a_joint_and_never_turns_it(tmp_path):
         rubbing,
         constants=np.where(np.arange(rubbing.constants.shape[1]) >= 18, 0.0, rubbing.constants),
     )
-    samples = 800
-    found = CompiledTree(flat).rollout(
+    samples, dynamics = 800, CompiledTree(flat)
+    states = dynamics.rollout(
         np.array([flat.parameters]), np.array([[0.0, 0.0, 1.0, -2.0]]), np.zeros((1, samples, 2)),
         np.full((1, samples), 0.004), np.ones((1, samples), np.int64),
     )[0, 0]  # fmt: skip
-    assert np.abs(found[-1, 2:]).max() < 1e-12
-    assert np.abs(found[100:200, 2:]).max() <= np.abs(found[:100, 2:]).max()
+    q, v = states[:, :2], states[:, 2:]
+    assert np.abs(v[-1]).max() < 1e-12
+    masses = dynamics.inertia(np.array(flat.parameters), q) * dynamics.form.sizes[None, :, None]
+    energy = np.einsum("ni,nij,nj->n", v, masses, v) / 2.0
+    assert energy[0] > 0.05
+    assert (np.diff(energy) <= 1e-9).all()
+    at_rest = np.flatnonzero(np.abs(v).max(axis=1) < 1e-12)
+    assert np.array_equal(at_rest, np.arange(at_rest[0], samples))  # and stays so
 
 
 def test_what_is_left_out_is_said(tmp_path):
     assert compiled(tmp_path, EVERYTHING).left_out == ("contact",)
     assert compiled(tmp_path, ARM).left_out == ()
+
+
+@pytest.mark.parametrize(
+    ("written", "by", "said"),
+    [
+        ('axis="0 1 0" damping="0.3"', 'axis="0 1 0" range="-90 90" damping="0.3"', "joint limits"),
+        ('<body name="lower"', '<body name="lower" gravcomp="1"', "gravity compensation"),
+        ('integrator="implicitfast"', 'integrator="implicitfast" density="1"', "fluid forces"),
+        (
+            "</worldbody>",
+            "</worldbody><equality><joint joint1='shoulder' joint2='elbow'/></equality>",
+            "equality constraints",
+        ),
+        (
+            "</worldbody>",
+            "</worldbody><tendon><fixed><joint joint='elbow' coef='1'/></fixed></tendon>",
+            "tendons",
+        ),
+    ],
+)
+def test_each_thing_that_a_rollout_does_not_do_is_named(tmp_path, written, by, said):
+    assert written in ARM
+    assert compiled(tmp_path, ARM.replace(written, by)).left_out == (said,)
 
 
 @pytest.mark.parametrize(
@@ -169,6 +199,7 @@ def test_a_plant_without_its_models_numbers_says_where_they_are_read():
 def test_a_resolved_plant_needs_no_mujoco(tmp_path, monkeypatch):
     plant = arm_plant(tmp_path)
     monkeypatch.setattr(importlib, "import_module", None)
+    monkeypatch.setitem(sys.modules, "mujoco", None)  # which an import statement takes for missing
     again = Plant.from_document(plant.document)
     assert again.digest == plant.digest
     assert again.joints == ("shoulder", "elbow")
