@@ -12,13 +12,13 @@ none      a machine without effects is answered by `parameters_only`, or by `no_
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.stats import binomtest
 
 from trueup.blindtrial.specification import spelled
 from trueup.canonical import Json
@@ -28,7 +28,7 @@ from trueup.model.effect import effects
 # The chance that an honest diagnosis of a machine without effects names one, and it is the decoy.
 BY_CHANCE = 0.0025
 IMPROBABLE = 0.02
-ONE_SIDED = 1.645  # standard errors
+CONFIDENCE = 0.95  # of a lower bound
 # Numbers that both simulators mean alike, where that is not an effect's first alone: the laws
 # behind the others differ on purpose, and what is counted has no interval worth the name.
 ALIKE: Mapping[str, tuple[str, ...]] = {
@@ -213,11 +213,10 @@ def summarise(rows: Sequence[Mapping[str, Any]], answers: Sequence[Answer]) -> d
 def _improbable(taken: int, decoys: int) -> bool | None:
     """Whether `taken` of the decoys cannot have been answered by chance; None where there are
     none."""
-    chance = sum(
-        math.comb(decoys, k) * BY_CHANCE**k * (1.0 - BY_CHANCE) ** (decoys - k)
-        for k in range(taken, decoys + 1)
-    )
-    return bool(taken and chance < IMPROBABLE) if decoys else None
+    if not decoys:
+        return None
+    chance = binomtest(taken, decoys, BY_CHANCE, alternative="greater").pvalue
+    return bool(chance < IMPROBABLE)
 
 
 def _confusion(rows: Sequence[Mapping[str, Any]]) -> list[Json]:
@@ -321,9 +320,5 @@ def lower_bound(right: int, n: int) -> float:
     """
     if not n:
         return 0.0
-    z2, share = ONE_SIDED**2, right / n
-    return max(
-        0.0,
-        (share + z2 / 2 / n - ONE_SIDED * math.sqrt(share * (1 - share) / n + z2 / 4 / n**2))
-        / (1 + z2 / n),
-    )
+    share = binomtest(right, n, alternative="greater")
+    return float(share.proportion_ci(CONFIDENCE, method="wilson").low)

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from math import exp, log
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaincinv
 
 from trueup.bootstrap import interval
 from trueup.canonical import Json
@@ -19,9 +19,7 @@ Array = NDArray[np.float64]
 RESAMPLES = 200
 DRIFTS = 40  # drifts of each kind that are put into healthy episodes
 EPISODES = 20  # over which a drift grows
-HALVINGS = 60
 LEAST = 1e-300  # of a power, to divide by
-LOG_LEAST = -700.0  # whose exponential is no zero yet
 
 
 def achieved(
@@ -115,24 +113,5 @@ def poisson_interval(count: int, confidence: float = 0.95) -> tuple[float, float
     """The exact interval of a Poisson mean after `count` events. Source: F. Garwood, Biometrika 28
     (1936)."""
     tail = (1.0 - confidence) / 2.0
-    top = count + 10.0 * (count + 1.0) ** 0.5 + 10.0
-    low = 0.0 if count == 0 else _where(lambda mean: 1.0 - _at_most(count - 1, mean) > tail, top)
-    return low, _where(lambda mean: _at_most(count, mean) < tail, top)
-
-
-def _at_most(count: int, mean: float) -> float:
-    """The chance that a Poisson variable is `count` at most."""
-    term, total = -mean, 0.0
-    for i in range(count + 1):
-        total += exp(max(term, LOG_LEAST))
-        term += log(mean / (i + 1)) if mean > 0.0 else LOG_LEAST
-    return min(total, 1.0)
-
-
-def _where(holds: Callable[[float], bool], top: float) -> float:
-    """The least mean at which something begins to hold."""
-    low, high = 0.0, top
-    for _ in range(HALVINGS):
-        middle = (low + high) / 2.0
-        low, high = (low, middle) if holds(middle) else (middle, high)
-    return high
+    low = float(gammaincinv(count, tail)) if count else 0.0
+    return low, float(gammaincinv(count + 1, 1.0 - tail))

@@ -21,7 +21,7 @@ from trueup.randomise.randomisation import SCHEMA
 
 RANDOMISATION_FILE = "randomisation.json"
 HAIR = 1e-9  # of a number: an interval has a width
-TWO_SIDED = 1.96
+TWO_SIDED = 1.96  # standard deviations of a 95 % interval
 
 
 def supported_ranges(model: Corrected, report: Mapping[str, Any]) -> dict[str, Json] | None:
