@@ -151,8 +151,9 @@ class BadArtifact(TrueupError):
 
     code = "bad-artifact"
     hint = (
-        "Fetch it again; if the digest still differs the stored copy is damaged and must "
-        "not be served."
+        "One that you fetched: fetch it again; if the digest still differs the stored copy is "
+        "damaged and must not be served. One that you made: send the bytes that "
+        "`trueup.artifact.artifact.pack` wrote, unchanged."
     )
 
 

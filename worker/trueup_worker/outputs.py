@@ -7,6 +7,7 @@ from typing import Any
 
 from trueup.artifact.artifact import Artifact
 from trueup.canonical import Json, canonical_bytes
+from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import JobRecord, OutputRecord
 from trueup_service.registry.transaction import Transaction
 from trueup_service.wiring import Parts, keep_bytes
@@ -43,6 +44,18 @@ def keep_report(parts: Parts, document: dict[str, Any]) -> dict[str, Json]:
         "files": [keep_file(parts, REPORT_FILE, "application/json", content)],
         "report": _without_drawn(document),
     }
+
+
+def add_report(
+    parts: Parts, tx: Transaction, job: JobRecord, outcome: dict[str, Any], context: ActorContext
+) -> None:
+    """The effects of a job that leaves its report as a file, and changes nothing else."""
+    add_files(tx, job, outcome["files"])
+
+
+def report_of(outcome: dict[str, Any]) -> dict[str, Json]:
+    """The result of a job that is its report."""
+    return {"report": outcome["report"]}
 
 
 def _without_drawn(document: Json) -> Json:

@@ -11,13 +11,13 @@ from trueup.control.regimes import Conditions, run_regimes
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.model.plant import Plant
-from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import JobRecord
-from trueup_service.registry.transaction import Transaction
 from trueup_service.wiring import Parts
 from trueup_worker.inputs import read_episodes, read_plant, read_versions
-from trueup_worker.outputs import add_files, keep_report
+from trueup_worker.outputs import add_report, keep_report, report_of
 from trueup_worker.progress import Progress
+
+effects, result = add_report, report_of
 
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
@@ -53,15 +53,3 @@ def _courses(plant: Plant, request: dict[str, Any], episodes: list[Episode]) -> 
             plant, declared["amplitude"], declared["frequency_hz"], ticks, effort
         )
     return Courses.within(plant, Travelled.of(plant, episodes), ticks, effort)
-
-
-def effects(
-    parts: Parts, tx: Transaction, job: JobRecord, outcome: dict[str, Any], context: ActorContext
-) -> None:
-    """Adds the report as a file."""
-    add_files(tx, job, outcome["files"])
-
-
-def result(outcome: dict[str, Any]) -> dict[str, Json]:
-    """Returns the result of the job."""
-    return {"report": outcome["report"]}

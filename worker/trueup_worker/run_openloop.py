@@ -7,13 +7,13 @@ from typing import Any
 from trueup.canonical import Json
 from trueup.diagnose.open_loop import open_loop
 from trueup.episode.role import Role
-from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import JobRecord
-from trueup_service.registry.transaction import Transaction
 from trueup_service.wiring import Parts
 from trueup_worker.inputs import read_episodes, read_plant, read_versions
-from trueup_worker.outputs import add_files, keep_report
+from trueup_worker.outputs import add_report, keep_report, report_of
 from trueup_worker.progress import Progress
+
+effects, result = add_report, report_of
 
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
@@ -27,15 +27,3 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     rolling = progress.stage("rolling out", 0.3, 1.0)
     document = open_loop(models.of, machine, episodes, request["horizons_steps"], rolling)
     return keep_report(parts, {**document, "artifacts": models.artifacts})
-
-
-def effects(
-    parts: Parts, tx: Transaction, job: JobRecord, outcome: dict[str, Any], context: ActorContext
-) -> None:
-    """Adds the report as a file."""
-    add_files(tx, job, outcome["files"])
-
-
-def result(outcome: dict[str, Any]) -> dict[str, Json]:
-    """Returns the result of the job."""
-    return {"report": outcome["report"]}
