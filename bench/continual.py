@@ -8,6 +8,7 @@ the monitors saw.
 
 from __future__ import annotations
 
+import math
 import sys
 import tempfile
 import time
@@ -62,7 +63,7 @@ def _cycle(client: Client, folder: Path) -> list[Figure]:
     errors = decision["document"]["figures"]
     ratio = sum(errors["candidate"]["rollout"]) / sum(errors["incumbent"]["rollout"])
     driven = errors["closed_loop"]
-    change, (low, high) = driven["change"], driven["change_ci95"]
+    change, (low, high) = driven["change"], driven["change_ci95"] or (math.nan, math.nan)
     moved = next(
         e
         for e in client.audit(fleet.name)

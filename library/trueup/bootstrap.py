@@ -1,4 +1,5 @@
-"""Bootstrap: a 95 % percentile interval of a statistic of observations that do not hang together.
+"""Bootstrap: a 95 % percentile interval of a statistic of independent observations. Of few it is
+too narrow: the mean of four is inside about eight times of ten, of eight nine times.
 
 Source: B. Efron, R. J. Tibshirani, An Introduction to the Bootstrap (1993), chapter 13.
 """
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-LEAST = 2  # observations: of one, nothing can be drawn
+LEAST = 4  # observations: an interval of fewer holds the mean less than three times of four
 
 
 def interval(
@@ -21,7 +22,7 @@ def interval(
     rng: np.random.Generator,
 ) -> tuple[float, float] | None:
     """The interval of `statistic(*samples, axis)` of samples `(observations,)`, each drawn for
-    itself; None where one has a single observation, or one that is not finite."""
+    itself; None where one has fewer than LEAST observations, or one that is not finite."""
     from scipy.stats import bootstrap  # noqa: PLC0415 - takes half a second to load
 
     if not all(len(sample) >= LEAST and np.isfinite(sample).all() for sample in samples):

@@ -66,8 +66,9 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
 
 
 def _compared(before: Array, now: Array) -> dict[str, Json]:
-    """Mean errors, their ratio with a bootstrap interval over episodes, and whether it is worse: at
-    the lower end of the interval, or as it is where a single episode allows none."""
+    """Mean errors, their ratio with a bootstrap interval over episodes, and whether it is worse at
+    the lower end of the interval; of few episodes there is none, and nothing is said to be
+    worse."""
     errors: dict[str, Json] = {
         "episodes": len(now),
         "error": float(now.mean()) if np.isfinite(now).all() else None,
@@ -77,12 +78,11 @@ def _compared(before: Array, now: Array) -> dict[str, Json]:
         diverges = errors["error"] is None
         return {**errors, "ratio": None, "ratio_ci95": None, "worse": diverges}
     ends = interval([now, before], _ratio, RESAMPLES, np.random.default_rng(0))
-    ratio = float(now.mean() / before.mean())
     return {
         **errors,
-        "ratio": ratio,
+        "ratio": float(now.mean() / before.mean()),
         "ratio_ci95": None if ends is None else list(ends),
-        "worse": (ratio if ends is None else ends[0]) > WORSE,
+        "worse": ends is not None and ends[0] > WORSE,
     }
 
 

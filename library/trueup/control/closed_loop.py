@@ -74,10 +74,12 @@ class Tracking:
 
 def change_ci95(candidate: Array, incumbent: Array) -> tuple[float, float] | None:
     """The 95 % bootstrap interval of the difference of paired runs `(runs,)`, relative to the
-    incumbent's mean; None where runs ran away, or of a single run."""
+    incumbent's mean; None where runs ran away, or there are few."""
     base = max(float(incumbent.mean()), 1e-300)
+    with np.errstate(invalid="ignore"):  # both may have run away
+        difference = candidate - incumbent
     return interval(
-        [candidate - incumbent],
+        [difference],
         lambda more, axis: more.mean(axis=axis) / base,
         RESAMPLES,
         np.random.default_rng(0),

@@ -41,7 +41,6 @@ NOMINAL, SHIFTED, DELAYED, REDUCED = REGIMES = (
     "delayed",
     "reduced_authority",
 )
-LEAST_RUNS = 4  # pairs below which no interval is given
 DIGITS = 6  # significant ones of a drawn run
 Progress = Callable[[float], None]
 
@@ -93,7 +92,7 @@ class Runs:
         mean = float(self.errors.mean())
         base = float(baseline.errors.mean())
         change = (mean - base) / base if base > 0.0 and isfinite(mean) else None
-        ends = change_ci95(self.errors, baseline.errors) if len(self.errors) >= LEAST_RUNS else None
+        ends = change_ci95(self.errors, baseline.errors)
         breaches = {
             "share": float(self.breaches.mean()),
             "runs": int((self.breaches > 0.0).sum()),

@@ -6,10 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+import numpy as np
+
 from trueup.canonical import Json
 from trueup.collect.bounds import Recorded
 from trueup.cores import in_parallel
-from trueup.diagnose.data_quality import assess
+from trueup.diagnose.data_quality import DataQuality, assess
 from trueup.diagnose.explain import alternative, bounds, estimates, parameter_table, shares
 from trueup.diagnose.explore import explore
 from trueup.diagnose.filtering import corrected
@@ -31,7 +33,8 @@ from trueup.model.corrected import Corrected
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.mjcf_patch import Patch, patch
 from trueup.model.plant import Plant
-from trueup.model.predictor import Nominal
+from trueup.model.predictor import Nominal, Predictor
+from trueup.model.series import Scheme
 
 Progress = Callable[[str, float], None]
 
@@ -101,6 +104,18 @@ class _Selection:
         return choice
 
 
+def _with_the_same_numbers(
+    nominal: RolloutFit, recordings: Recordings, quality: DataQuality, scheme: Scheme
+) -> Predictor:
+    """The nominal numbers, integrated by a scheme and started from a filter; as they are declared
+    where no filter can follow them."""
+    plant = recordings.plant
+    try:
+        return corrected(plant, quality, nominal, scheme, recordings.adaptation)
+    except np.linalg.LinAlgError:
+        return Nominal(plant)
+
+
 def diagnose(
     plant: Plant,
     episodes: Sequence[Episode],
@@ -124,10 +139,8 @@ def diagnose(
     progress("measuring on held-out episodes", 0.0)
     refit = final_refit(recordings, problem, choice.winner)
     predictor = corrected(plant, quality, refit.answer.fit, refit.scheme, adaptation)
-    same, refitted = (
-        corrected(plant, quality, fit, problem.scheme, adaptation)
-        for fit in (nominal, search.base.fit)
-    )
+    refitted = corrected(plant, quality, search.base.fit, problem.scheme, adaptation)
+    same = _with_the_same_numbers(nominal, recordings, quality, refit.scheme)
     noise = Noise(quality.noise, quality.correlation)
     gap = measure(Nominal(plant), same, refitted, predictor, validation, noise, seed)
     choice = agreeing(choice, gap)

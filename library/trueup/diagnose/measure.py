@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from trueup.bootstrap import LEAST
 from trueup.canonical import Json
 from trueup.diagnose.noise import Noise
 from trueup.diagnose.tuning import EVIDENCE
@@ -38,8 +39,9 @@ RAN_AWAY = 1e6  # standard deviations: no error is larger
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Errors before, with the same numbers in the answer's integration and from its start, with
-    parameters only, after, and the floor; `closed` is None where there was nothing to close."""
+    """Errors before, with the same numbers in the answer's integration and from a filtered start,
+    with parameters only, after, and the floor; `closed` is None where there was nothing to close.
+    """
 
     horizon_s: float
     before: float
@@ -172,8 +174,8 @@ def measure(
     noise: Noise,
     seed: int,
 ) -> Gap:
-    """The gap on held-out episodes; `same_numbers` is the nominal model integrated and started as
-    the corrected one is."""
+    """The gap on held-out episodes; `same_numbers` is the nominal model, integrated as the
+    corrected one and started from a filter of its own."""
     plant: Plant = corrected.plant
     rng = np.random.default_rng(seed)
     motion = _motion(plant, episodes)
@@ -235,12 +237,12 @@ def _motion(plant: Plant, episodes: Sequence[Episode]) -> Array:
 def _closed_ci95(
     before: Array, after: Array, base: float, rng: np.random.Generator
 ) -> tuple[float, float] | None:
-    """The 95 % bootstrap interval over windows, candidate and nominal model drawn alike; None of a
-    single window.
+    """The 95 % bootstrap interval over windows, candidate and nominal model drawn alike; None of
+    few windows.
 
     By hand, since scipy.stats.bootstrap keeps draws in which there is no gap to close.
     """
-    if len(before) == 1:
+    if len(before) < LEAST:
         return None
     drawn = rng.integers(0, len(before), (EVIDENCE.resamples, len(before)))
     pairs = zip(before[drawn].mean(axis=1), after[drawn].mean(axis=1), strict=True)

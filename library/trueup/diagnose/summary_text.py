@@ -12,30 +12,24 @@ from trueup.diagnose.tuning import EVIDENCE
 
 PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 DIGITS = 2  # of an uncertainty that are worth writing
-MOSTLY = (
-    "New numbers in the nominal form explain most of the gap; no effect of the catalogue "
-    "takes a material part of what remains"
-)
-SAME_NUMBERS = "integration and start"
-NEW_NUMBERS = "new numbers"
-WORDS = {
-    "no_gap": "The nominal model already predicts as well as the noise allows",
-    "parameters_only": "New numbers in the nominal form explain the gap; no effect is missing",
-    "unknown_effect": "A gap remains that no composition of the catalogue explains",
-}
+SAME_NUMBERS, NEW_NUMBERS, NEAREST = "integration and start", "new numbers", "nearest composition"
+EFFECTS = "effects"
+NO_GAP = "The nominal model already predicts as well as the noise allows"
+UNKNOWN = "A gap remains that no composition of the catalogue explains"
 
 
 def sentence(document: Mapping[str, Any]) -> str:
     """The answer of a report in a sentence or two."""
-    verdict, gap = document["verdict"], document["gap"]
-    if verdict == "effect":
-        text = _effects(document)
-    elif verdict == "parameters_only" and is_above_floor(gap):
-        text = MOSTLY
-    elif verdict == "no_gap" and gap["closed"] is not None:
-        text = _as_integrated(document)
-    else:
-        text = WORDS[verdict]
+    gap = document["gap"]
+    match document["verdict"]:
+        case "effect":
+            text = _effects(document)
+        case "parameters_only":
+            text = _new_numbers(document)
+        case "no_gap":
+            text = NO_GAP if gap["closed"] is None else _same_numbers(document)
+        case _:
+            text = UNKNOWN
     if gap["closed"] is not None:
         text += (
             f"; held-out error falls from {short(gap['before'])} to {short(gap['after'])}, "
@@ -47,45 +41,63 @@ def sentence(document: Mapping[str, Any]) -> str:
     return text + "."
 
 
-def _as_integrated(document: Mapping[str, Any]) -> str:
+def _same_numbers(document: Mapping[str, Any]) -> str:
     """What helps a nominal model whose numbers hold."""
     shares, text = _shares(document), "No effect is missing and no number has to change"
-    if SAME_NUMBERS in shares:
+    # a report of before does not tell its integration and start from its new numbers
+    if _is_worth_naming(shares, SAME_NUMBERS):
         text += (
-            ": the same model, integrated more accurately and from a filtered start, explains "
-            f"{percent(shares[SAME_NUMBERS])} of the gap"
+            f": the same model explains {percent(shares[SAME_NUMBERS])} of the gap once it is "
+            "integrated as here and started from a filter over the past"
         )
-    if shares[NEW_NUMBERS] >= EVIDENCE.worth_naming:
-        text += f"; new numbers, not certain to be better, {percent(shares[NEW_NUMBERS])}"
+        if _is_worth_naming(shares, NEW_NUMBERS):
+            text += f"; new numbers, not certain to be better, {percent(shares[NEW_NUMBERS])}"
     return text
+
+
+def _new_numbers(document: Mapping[str, Any]) -> str:
+    """How much of the gap new numbers explain, alone or beside integration and start."""
+    shares, left = _shares(document), is_above_floor(document["gap"])
+    beside = _is_worth_naming(shares, SAME_NUMBERS)
+    share = shares.get(NEW_NUMBERS, 1.0)
+    if beside or (left and share <= EVIDENCE.most_of_it):
+        part = f"{percent(share)} of the gap"
+    else:
+        part = "most of the gap" if left else "the gap"
+    text = f"New numbers in the nominal form explain {part}{_and_others(shares, SAME_NUMBERS)}"
+    if left:
+        return f"{text}; no effect of the catalogue takes a material part of what remains"
+    return f"{text}; no effect is missing"
 
 
 def _effects(document: Mapping[str, Any]) -> str:
     """What acts, and how much of the gap it explains; new numbers first where they explain most."""
     shares, named = _shares(document), [_with_estimate(e) for e in document["effects"]]
     joined = " and ".join(named)
-    if not shares:
-        text = joined.rstrip(",")
-    elif shares[NEW_NUMBERS] > EVIDENCE.most_of_it:
+    if shares.get(NEW_NUMBERS, 0.0) > EVIDENCE.most_of_it:
         text = (
             f"New numbers in the nominal form explain {percent(shares[NEW_NUMBERS])} of the "
-            f"gap; what they leave is {joined.rstrip(',')}"
+            f"gap{_and_others(shares, SAME_NUMBERS)}; what they leave is {joined.rstrip(',')}"
+        )
+    elif shares.get(EFFECTS):
+        text = (
+            f"{joined} {'explains' if len(named) == 1 else 'explain'} "
+            f"{percent(shares[EFFECTS])} of the gap"
+            f"{_and_others(shares, NEW_NUMBERS, SAME_NUMBERS)}"
         )
     else:
-        others = [
-            f"{words} {percent(shares[what])}"
-            for what, words in (
-                (NEW_NUMBERS, NEW_NUMBERS),
-                (SAME_NUMBERS, "a more accurate integration and a filtered start"),
-            )
-            if shares.get(what, 0.0) >= EVIDENCE.worth_naming
-        ]
-        explained = sum(p["share"] for p in waterfall(document) if p["effect"])
-        text = (
-            f"{joined} {'explains' if len(named) == 1 else 'explain'} {percent(explained)} of the "
-            "gap" + "".join(f" and {other}" for other in others)
-        )
+        text = joined.rstrip(",")
     return text[0].upper() + text[1:]
+
+
+def _and_others(shares: Mapping[str, float], *parts: str) -> str:
+    """Further parts of the gap that are worth a word, each behind a comma."""
+    worth = [part for part in parts if _is_worth_naming(shares, part)]
+    return "".join(f", {part} {percent(shares[part])}" for part in worth)
+
+
+def _is_worth_naming(shares: Mapping[str, float], part: str) -> bool:
+    return shares.get(part, 0.0) >= EVIDENCE.worth_naming
 
 
 def is_above_floor(gap: Mapping[str, Any]) -> bool:
@@ -98,32 +110,41 @@ def waterfall(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     integration and start take, what new numbers take, each effect, what is left, the noise.
 
     What all effects take together is measured; it is split between several as each one's removal
-    brings back. Empty where there is no gap.
+    brings back. Where the gap is not explained it is what the nearest composition takes. A report
+    without `same_numbers` counts integration and start as new numbers. Empty where there is no gap.
     """
     gap = document["gap"]
     if gap["closed"] is None or not gap["before"] > 0.0:
         return []
-    effects = document["effects"]
+    effects, unknown = document["effects"], document["verdict"] == "unknown_effect"
     same = gap.get("same_numbers", gap["before"])
-    numbers = gap["parameters_only"] if effects else gap["after"]
+    numbers = gap["parameters_only"] if effects or unknown else gap["after"]
     levels = [1.0]
     for error in (same, numbers, gap["after"], gap["floor"]):
         levels.append(min((error / gap["before"]) ** 2, levels[-1]))
     taken = [high - low for high, low in pairwise(levels)]
     back = sum(e["share"] for e in effects)
-    # a report of before does not tell its integration and start from its new numbers
     parts = [(SAME_NUMBERS, False, taken[0])] if "same_numbers" in gap else []
     parts.append((NEW_NUMBERS, False, taken[1]))
     for e in effects:
         part = e["share"] / back if back else 1.0 / len(effects)
         parts.append((name(e), True, taken[2] * part))
+    if unknown and not effects:
+        parts.append((NEAREST, False, taken[2]))
     parts += [("not explained", False, taken[3]), ("noise floor", False, levels[-1])]
     return [{"what": what, "effect": is_effect, "share": share} for what, is_effect, share in parts]
 
 
 def _shares(document: Mapping[str, Any]) -> dict[str, float]:
-    """The share of each part of the gap that is no effect, by its name."""
-    return {p["what"]: p["share"] for p in waterfall(document) if not p["effect"]}
+    """What each part takes of the gap above the noise floor, effects together; empty where there is
+    no gap."""
+    shares: dict[str, float] = {}
+    parts = waterfall(document)
+    for part in parts:
+        what = EFFECTS if part["effect"] else part["what"]
+        shares[what] = shares.get(what, 0.0) + part["share"]
+    whole = 1.0 - parts[-1]["share"] if parts else 1.0
+    return {what: share / whole for what, share in shares.items()} if whole > 0.0 else {}
 
 
 def _with_estimate(entry: Mapping[str, Any]) -> str:

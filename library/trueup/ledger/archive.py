@@ -122,7 +122,9 @@ class Archive:
         believed."""
         if size < 0:
             raise BadArchive(f"the manifest says that it has {size} bytes")
-        if size > (LARGEST_MANIFEST if known else LARGEST_UNSIGNED):
+        if size > LARGEST_MANIFEST:
+            raise BadArchive(f"the manifest has {size} bytes, {LARGEST_MANIFEST} are allowed")
+        if size > LARGEST_UNSIGNED and not known:
             raise BadArchive(
                 f"the manifest has {size} bytes, and nothing shows who signed it",
                 hint="Give the key that signs it now.",

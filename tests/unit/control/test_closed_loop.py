@@ -9,6 +9,7 @@ import pytest
 
 from tests.support.made import TRUE, corrected, episode_bytes, plant_document
 from tests.support.robots import arm_plant
+from trueup.bootstrap import LEAST
 from trueup.control import closed_loop
 from trueup.control.closed_loop import CANNOT, SEEDS, Tracking
 from trueup.control.courses import TICKS, TURNS, Courses, Travelled
@@ -170,8 +171,10 @@ def test_an_arm_tracks_better_with_the_model_that_knows_its_friction(arm, monkey
     tracking = compare(machine, machine, Nominal(arm), REACHED)
     assert tracking.candidate.mean() < 0.5 * tracking.incumbent.mean()
     assert tracking.candidate.max() < 0.002  # of the amplitude's square
+    assert (tracking.candidate < tracking.incumbent).all()
     document = tracking.document()
-    assert document["change_ci95"][1] < 0.0
+    assert len(tracking.candidate) < LEAST
+    assert document["change_ci95"] is None  # of so few runs
     assert document["amplitude"] == pytest.approx([0.36, 0.36])
 
 

@@ -62,8 +62,8 @@ def friction(share=0.6, **more):
 
 def test_an_effect_is_told_with_its_level_its_part_and_the_errors():
     assert sentence(report([friction()], numbers=0.2)) == (
-        "Coulomb friction at the joint, level 0.210 ± 0.020 m/s², explains 90 % of the gap "
-        "and new numbers 9.3 %; "
+        "Coulomb friction at the joint, level 0.210 ± 0.020 m/s², explains 91 % of the gap, "
+        "new numbers 9.3 %; "
         "held-out error falls from 0.21 to 0.013, the noise floor is 0.012."
     )
 
@@ -71,7 +71,7 @@ def test_an_effect_is_told_with_its_level_its_part_and_the_errors():
 def test_new_numbers_come_first_where_they_explain_most():
     told = sentence(report([friction()]))
     assert told.startswith(
-        "New numbers in the nominal form explain 67 % of the gap; what they leave is "
+        "New numbers in the nominal form explain 68 % of the gap; what they leave is "
         "Coulomb friction at the joint, level"
     )
 
@@ -132,16 +132,41 @@ def test_the_waterfall_adds_up_to_the_whole():
 
 def test_what_the_answers_integration_takes_is_not_told_as_new_numbers():
     text = sentence(report([friction()], same=0.12))
-    assert "and a more accurate integration and a filtered start 67 %;" in text
+    assert "explains 32 % of the gap, integration and start 68 %;" in text
     assert "new numbers" not in text
+    text = sentence(report([friction()], same=0.18, numbers=0.05))
+    assert text.startswith(
+        "New numbers in the nominal form explain 68 % of the gap, integration and start 27 %; what "
+    )
+    text = sentence(report(verdict="parameters_only", same=0.1, numbers=0.013))
+    assert text.startswith(
+        "New numbers in the nominal form explain 22 % of the gap, integration and start 78 %; no "
+        "effect is missing;"
+    )
+    text = sentence(report(verdict="parameters_only", same=0.21, after=0.2))
+    assert text.startswith("New numbers in the nominal form explain 9.3 % of the gap; no effect of")
 
 
-def test_a_model_that_only_integrates_badly_keeps_its_numbers():
+def test_an_effect_that_takes_nothing_held_out_is_named_without_a_part():
+    text = sentence(report([friction()], same=0.012, after=0.013))
+    assert text.startswith("Coulomb friction at the joint, level 0.210 ± 0.020 m/s²; held-out")
+
+
+def test_what_the_nearest_composition_takes_is_not_told_as_new_numbers():
+    parts = {
+        p["what"]: p["share"]
+        for p in waterfall(report(verdict="unknown_effect", numbers=0.2, after=0.1))
+    }
+    assert parts["new numbers"] == pytest.approx(1.0 - (0.2 / 0.21) ** 2)
+    assert parts["nearest composition"] == pytest.approx((0.2**2 - 0.1**2) / 0.21**2)
+
+
+def test_a_model_that_is_only_integrated_or_started_otherwise_keeps_its_numbers():
     text = sentence(report(verdict="no_gap", same=0.014, numbers=0.013, after=0.013))
     assert text == (
-        "No effect is missing and no number has to change: the same model, integrated more "
-        "accurately and from a filtered start, explains 100 % of the gap; held-out error falls "
-        "from 0.21 to 0.013, the noise floor is 0.012."
+        "No effect is missing and no number has to change: the same model explains 100 % of the "
+        "gap once it is integrated as here and started from a filter over the past; held-out "
+        "error falls from 0.21 to 0.013, the noise floor is 0.012."
     )
 
 
@@ -150,7 +175,7 @@ def test_a_report_of_before_tells_integration_and_numbers_as_one():
     del old["gap"]["same_numbers"]
     assert [p["what"] for p in waterfall(old)][:2] == ["new numbers", "Coulomb friction"]
     assert sentence(old) == sentence(report([friction()]))
-    old = report(verdict="no_gap", after=0.205)
+    old = report(verdict="no_gap", after=0.014)
     del old["gap"]["same_numbers"]
     assert sentence(old).startswith("No effect is missing and no number has to change; held-out")
 
