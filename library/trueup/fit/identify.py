@@ -98,8 +98,13 @@ def _identify_family(
     data = transitions(plant, episodes)
     progress(0.5)
     design, target = _regression(dynamics, plant, data)
-    solution = solve(design, target, data.span)
     names = plant.dynamics.parameter_names
+    if len(target) <= len(names):
+        raise NotIdentifiable(
+            f"{len(target)} steps cannot tell {len(names)} numbers and how certain they are",
+            hint="Record longer episodes.",
+        )
+    solution = solve(design, target, data.span)
     if solution.rank < len(names) or solution.condition > WORST_CONDITION:
         raise NotIdentifiable(
             (

@@ -1,6 +1,7 @@
 """Fits: what is recovered, from which data, and when they refuse."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,20 @@ def test_an_episode_that_excites_nothing_is_refused():
 def test_nothing_to_fit_is_refused():
     with pytest.raises(NotIdentifiable):
         identify(PLANT, [])
+
+
+def test_as_many_steps_as_numbers_are_refused_because_nothing_says_how_certain_they_are():
+    whole = episode()
+    few = len(PLANT.parameters) + 1  # samples, of one step less
+    short = replace(
+        whole,
+        t_s=whole.t_s[:few],
+        observations=whole.observations[:few],
+        commands=whole.commands[:few],
+    )
+    with pytest.raises(NotIdentifiable, match="3 steps cannot tell 3 numbers") as refused:
+        identify(PLANT, [short])
+    assert "longer" in refused.value.hint
 
 
 @pytest.mark.parametrize("role", [r for r in Role if r is not Role.ADAPTATION])
