@@ -46,10 +46,10 @@ def keep_report(parts: Parts, document: dict[str, Any]) -> dict[str, Json]:
     }
 
 
-def add_report(
+def leave_files(
     parts: Parts, tx: Transaction, job: JobRecord, outcome: dict[str, Any], context: ActorContext
 ) -> None:
-    """The effects of a job that leaves its report as a file, and changes nothing else."""
+    """The effects of a job that leaves files behind and changes nothing else."""
     add_files(tx, job, outcome["files"])
 
 

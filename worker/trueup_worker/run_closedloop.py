@@ -14,10 +14,10 @@ from trueup.model.plant import Plant
 from trueup_service.registry.records import JobRecord
 from trueup_service.wiring import Parts
 from trueup_worker.inputs import read_episodes, read_plant, read_versions
-from trueup_worker.outputs import add_report, keep_report, report_of
+from trueup_worker.outputs import keep_report, leave_files, report_of
 from trueup_worker.progress import Progress
 
-effects, result = add_report, report_of
+effects, result = leave_files, report_of
 
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:

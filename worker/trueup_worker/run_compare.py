@@ -15,15 +15,16 @@ from trueup.diagnose.traces import predicted
 from trueup.episode.overlay import write_overlay
 from trueup.episode.role import Role
 from trueup_service.actions import find
-from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import JobRecord
-from trueup_service.registry.transaction import Transaction, reading
+from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 from trueup_worker.inputs import read_episodes, read_plant, read_predictor
-from trueup_worker.outputs import add_files, keep_file
+from trueup_worker.outputs import keep_file, leave_files
 from trueup_worker.progress import Progress
 
 OVERLAY_FILE = "overlay.mcap"
+
+effects = leave_files
 
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
@@ -56,13 +57,6 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
         )
         files.append(keep_file(parts, OVERLAY_FILE, "application/vnd.mcap", written.getvalue()))
     return {"files": list(files), "by_episode": compared["by_episode"]}
-
-
-def effects(
-    parts: Parts, tx: Transaction, job: JobRecord, outcome: dict[str, Any], context: ActorContext
-) -> None:
-    """Adds the job's files."""
-    add_files(tx, job, outcome["files"])
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:

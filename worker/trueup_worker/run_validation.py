@@ -66,9 +66,9 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
 
 
 def _compared(before: Array, now: Array) -> dict[str, Json]:
-    """Mean errors, their ratio with a bootstrap interval over episodes, and whether it is worse at
-    the lower end of the interval; of few episodes there is none, and nothing is said to be
-    worse."""
+    """Mean errors, their ratio with a bootstrap interval over episodes, and whether the model is
+    worse even at the lower end of the interval. With few episodes there is no interval, and the
+    model is not called worse."""
     errors: dict[str, Json] = {
         "episodes": len(now),
         "error": float(now.mean()) if np.isfinite(now).all() else None,
