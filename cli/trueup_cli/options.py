@@ -10,7 +10,7 @@ import re
 import socket
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 from urllib.parse import quote, urlsplit
 
 from cyclopts import Parameter
@@ -23,6 +23,17 @@ from trueup_client.problem import ClientError
 Url = Annotated[str, Parameter(name="--url", env_var="TRUEUP_URL", help="Address of the service")]
 Seed = Annotated[
     int, Parameter(help="Seed of the random draws: the same seed gives the same answer")
+]
+ContextSource = Annotated[
+    Literal["identification", "configuration", "measurement"],
+    Parameter(help="Where the conditioned predictor's parameters come from"),
+]
+MeasuredParameters = Annotated[
+    dict[str, float] | None,
+    Parameter(
+        help="A measured parameter of the conditioned predictor: --measured.k 1.25; give it again "
+        "for more"
+    ),
 ]
 Json = Annotated[bool, Parameter(name="--json", negative=(), help="Print JSON")]
 DEFAULT_URL = "http://127.0.0.1:8321"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
@@ -21,7 +21,15 @@ from trueup.randomise.randomisation import Randomisation
 from trueup.randomise.study import Context, randomise
 from trueup.randomise.supported import RANDOMISATION_FILE
 from trueup.randomise.training import Draws
-from trueup_cli.options import DEFAULT_URL, Json, Seed, Url, read_json
+from trueup_cli.options import (
+    DEFAULT_URL,
+    ContextSource,
+    Json,
+    MeasuredParameters,
+    Seed,
+    Url,
+    read_json,
+)
 from trueup_cli.show import progress, table
 from trueup_cli.study import Presentation, folder_of, is_case, remote_report
 from trueup_pages.randomisation import report_page, sentence
@@ -50,14 +58,8 @@ def randomise_plants(
             help="Standard deviation of the starts, in reporting scales", validator=Number(gte=0.0)
         ),
     ] = 0.4,
-    context: Annotated[
-        Literal["identification", "configuration", "measurement"],
-        Parameter(help="Where the conditioned predictor's parameters come from"),
-    ] = "identification",
-    measured: Annotated[
-        dict[str, float] | None,
-        Parameter(help="A measured parameter: --measured.k 1.25; give it again for more"),
-    ] = None,
+    context: ContextSource = "identification",
+    measured: MeasuredParameters = None,
     seed: Seed = 0,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,

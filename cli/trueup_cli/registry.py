@@ -12,7 +12,17 @@ from cyclopts import Parameter
 from trueup.errors import BadGate, NotAnEpisode
 from trueup.gate.line import budget_of
 from trueup_cli.digests import resolve_digest
-from trueup_cli.options import DEFAULT_URL, Json, PlantName, Seed, Url, connect, read_json
+from trueup_cli.options import (
+    DEFAULT_URL,
+    ContextSource,
+    Json,
+    MeasuredParameters,
+    PlantName,
+    Seed,
+    Url,
+    connect,
+    read_json,
+)
 from trueup_cli.show import Bar, as_json, moment, progress, say, show_diagnosis, table
 from trueup_client import Client
 from trueup_client.problem import Problem
@@ -111,14 +121,8 @@ def fit(
             "more; default: all"
         ),
     ] = (),
-    context: Annotated[
-        Literal["identification", "configuration", "measurement"],
-        Parameter(help="For conditioned: where its parameters come from"),
-    ] = "identification",
-    measured: Annotated[
-        dict[str, float] | None,
-        Parameter(help="For conditioned: a measured parameter, --measured.k 1.25"),
-    ] = None,
+    context: ContextSource = "identification",
+    measured: MeasuredParameters = None,
     features: Annotated[
         str | None,
         Parameter(help="For residual: comma-separated features, such as 1,v,u,sign(v),abs(v)"),
