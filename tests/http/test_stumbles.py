@@ -7,9 +7,9 @@ from contextlib import closing
 
 import pytest
 
+from tests.support.completion import completed
 from tests.support.made import TRUE, episode_bytes, identified, plant_document, save
 from tests.support.service import ADMIN, command
-from tests.unit.test_commands import completed
 from trueup.episode.role import Role
 from trueup_client import Client
 

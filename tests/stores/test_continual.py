@@ -93,6 +93,22 @@ def finish(parts, kind: str, **result: object) -> None:
         tx.jobs.update(job.id, now=at(0).now, state=JobState.SUCCEEDED, result=result)
 
 
+def diagnosed(parts, second: float) -> str:
+    """The last diagnosis has named an effect, and its corrected model is a candidate with which the
+    cycle goes on."""
+    candidate = "f" * 64
+    with parts.database.write() as connection:
+        tx = Transaction(connection)
+        tx.artifacts.add(
+            ArtifactRecord(
+                "p", 2, candidate, "corrected", "{}", None, None, at(second).now, "worker"
+            )
+        )
+        cycle = Cycle(tx, parts.queue, lambda: "3" * 32, at(second))
+        cycle.diagnosed(tx.jobs.last("p", "diagnose"), candidate, "effect")
+    return candidate
+
+
 def test_a_monitor_moves_on_once_over_what_it_has_not_seen(parts):
     add_episode(parts, "a", "reference", 1)
     monitor = add_monitor_of(parts, serving(parts), 2)
@@ -199,23 +215,18 @@ def test_a_policy_that_asks_at_an_alarm_leaves_the_diagnosis_to_a_person(parts):
 def test_a_policy_that_asks_at_a_later_step_leaves_that_one_to_a_person(
     parts, step, tried, generation
 ):
-    candidate, promotes = "f" * 64, {"on_acceptance": "promote"}
     with parts.database.write() as connection:
         tx = Transaction(connection)
         gate, _ = declare_gate(tx, "p", None, at(1))
-        policy = UpdatePolicy(gate.digest, **{**promotes, **step})
+        policy = UpdatePolicy(gate.digest, **{"on_acceptance": "promote", **step})
         declare_policy(tx, "p", policy.document(), at(2))
         raise_alarm(tx, "0" * 32, "p", None, serving_of(tx), FOUND, at(3))
     add_episode(parts, "b", "adaptation", 4, start_ns=1)
     add_episode(parts, "c", "validation", 5, start_ns=2)
     go_on(parts, 6)
+    candidate = diagnosed(parts, 7)
     with parts.database.write() as connection:
         tx = Transaction(connection)
-        tx.artifacts.add(
-            ArtifactRecord("p", 2, candidate, "corrected", "{}", None, None, at(7).now, "worker")
-        )
-        cycle = Cycle(tx, parts.queue, lambda: "3" * 32, at(7))
-        cycle.diagnosed(tx.jobs.last("p", "diagnose"), candidate, "effect")
         trial = tx.alarms.open("p").trial
         assert (trial is not None) == tried
         if trial is not None:
@@ -228,6 +239,7 @@ def test_a_policy_that_asks_at_a_later_step_leaves_that_one_to_a_person(
                 "episodes": ["c" * 64],
             }
             made = record_decision(tx, "p", document, trial, at(8))
+            cycle = Cycle(tx, parts.queue, lambda: "8" * 32, at(8))
             cycle.judged(tx.jobs.get(trial), made, {"seconds": 0.0})
         assert tx.serving.now("p").generation == generation
         assert (tx.alarms.open("p") is None) == (generation == 2)
@@ -335,14 +347,9 @@ def test_only_the_trial_that_the_cycle_asked_for_promotes_and_only_by_the_policy
     for i, role in enumerate(["adaptation", "validation", "validation"]):
         add_episode(parts, "bcd"[i], role, 4 + i, start_ns=1 + i)
     go_on(parts, 8)
-    candidate = "f" * 64
+    candidate = diagnosed(parts, 9)
     with parts.database.write() as connection:
         tx = Transaction(connection)
-        tx.artifacts.add(
-            ArtifactRecord("p", 2, candidate, "corrected", "{}", None, None, at(9).now, "worker")
-        )
-        cycle = Cycle(tx, parts.queue, lambda: "3" * 32, at(9))
-        cycle.diagnosed(tx.jobs.last("p", "diagnose"), candidate, "effect")
         trial = tx.jobs.get(tx.alarms.open("p").trial)
         assert (trial.kind, trial.request["gate"], trial.request["episodes"]) == (
             "gate",
@@ -389,14 +396,7 @@ def test_a_refused_trial_is_tried_again_with_twice_as_much(parts):
     add_episode(parts, "c", "validation", 5, start_ns=2)
     go_on(parts, 6)
     finish(parts, "diagnose", report={"verdict": "effect"}, artifact="f" * 64)
-    with parts.database.write() as connection:
-        tx = Transaction(connection)
-        tx.artifacts.add(
-            ArtifactRecord("p", 2, "f" * 64, "corrected", "{}", None, None, at(7).now, "worker")
-        )
-        Cycle(tx, parts.queue, lambda: "7" * 32, at(7)).diagnosed(
-            tx.jobs.last("p", "diagnose"), "f" * 64, "effect"
-        )
+    diagnosed(parts, 7)
     add_episode(parts, "d", "adaptation", 8, start_ns=3)
     add_episode(parts, "e", "validation", 9, start_ns=4)
     go_on(parts, 10)

@@ -7,12 +7,12 @@ import re
 import subprocess
 import sys
 from importlib import import_module
-from pathlib import Path
 
 import pytest
 from cyclopts import App
 
 from tests.support import forks
+from tests.support.completion import completed
 from tests.support.service import ROOT
 from trueup_cli import exits, main, show
 from trueup_cli.error_output import print_error
@@ -132,20 +132,6 @@ def test_an_answer_is_printed_with_its_warnings_and_names_as_they_are(capsys):
 def test_doctor_prints_json():
     parts = json.loads(run("doctor", "--json").stdout)
     assert {"python", "numba", "onnx"} <= {f["part"] for f in parts}
-
-
-def completed(line, script, **environment):
-    """What a shell proposes for the last word of a line."""
-    words = line.split(" ")
-    typed = (
-        f'source "$1"; COMP_WORDS=({line}); COMP_CWORD={len(words) - 1}; _trueup; '
-        'echo "${COMPREPLY[@]}"'
-    )
-    command = ["bash", "-c", typed, "_", script]
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    here = {**os.environ, "PATH": path, **environment}
-    done = subprocess.run(command, capture_output=True, text=True, check=True, env=here)
-    return done.stdout.split()
 
 
 def test_shells_complete_commands_and_options(tmp_path):

@@ -81,19 +81,8 @@ def test_a_plant_may_name_the_topic():
 
 
 def test_before_its_first_message_what_was_applied_is_not_known():
-    late = BytesIO()
-    write_episode(
-        late,
-        stamps_ns=STAMPS,
-        observations=OBSERVED,
-        commands=ISSUED,
-        layout=PLANT.layout,
-        role=Role.ADAPTATION,
-        conditions={},
-        applied=0.5 * ISSUED,
-    )
     # the drive's topic began ten samples later
-    source, cut = make_reader(BytesIO(late.getvalue())), BytesIO()
+    source, cut = make_reader(BytesIO(recording(0.5 * ISSUED))), BytesIO()
     writer = Writer(cut)
     writer.start(profile="ros2")
     channels: dict[str, int] = {}
