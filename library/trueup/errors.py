@@ -151,8 +151,8 @@ class BadArtifact(TrueupError):
 
     code = "bad-artifact"
     hint = (
-        "One that you fetched: fetch it again; if the digest still differs the stored copy is "
-        "damaged and must not be served. One that you made: send the bytes that "
+        "If you fetched it, fetch it again; if the digest still differs, the stored copy is "
+        "damaged and must not be served. If you made it, send the bytes that "
         "`trueup.artifact.artifact.pack` wrote, unchanged."
     )
 

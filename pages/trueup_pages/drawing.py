@@ -12,7 +12,15 @@ from typing import Any
 
 from markupsafe import Markup
 
-from trueup.diagnose.summary_text import percent, short, unit
+from trueup.diagnose.summary_text import (
+    NEW_NUMBERS,
+    NOISE,
+    SAME_NUMBERS,
+    UNEXPLAINED,
+    percent,
+    short,
+    unit,
+)
 
 LEVELS = 11  # colours of a map; odd, so that the middle one is zero
 LEFT, BOTTOM, CELL_AREA = 66, 36, (300, 200)
@@ -160,10 +168,10 @@ def waterfall(parts: Sequence[Mapping[str, Any]]) -> Markup:
         begin = 0.0 if i == 0 else at - share
         kind = {
             "nominal model": "nominal",
-            "integration and start": "same",
-            "new numbers": "refitted",
-            "noise floor": "floor",
-            "not explained": "left",
+            SAME_NUMBERS: "same",
+            NEW_NUMBERS: "refitted",
+            NOISE: "floor",
+            UNEXPLAINED: "left",
         }.get(str(part["what"]), "corrected")
         if i:
             drawn.append(

@@ -320,5 +320,5 @@ def lower_bound(right: int, n: int) -> float:
     """
     if not n:
         return 0.0
-    share = binomtest(right, n, alternative="greater")
-    return float(share.proportion_ci(CONFIDENCE, method="wilson").low)
+    observed = binomtest(right, n, alternative="greater")
+    return float(observed.proportion_ci(CONFIDENCE, method="wilson").low)

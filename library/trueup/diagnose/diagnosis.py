@@ -107,8 +107,8 @@ class _Selection:
 def _with_the_same_numbers(
     nominal: RolloutFit, recordings: Recordings, quality: DataQuality, scheme: Scheme
 ) -> Predictor:
-    """The nominal numbers, integrated by a scheme and started from a filter; as they are declared
-    where no filter can follow them."""
+    """The nominal numbers under another integration scheme, started from a filter; the nominal
+    model as it is where its numbers are so far off that there is no filter."""
     plant = recordings.plant
     try:
         return corrected(plant, quality, nominal, scheme, recordings.adaptation)

@@ -39,9 +39,10 @@ RAN_AWAY = 1e6  # standard deviations: no error is larger
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Errors before, with the same numbers in the answer's integration and from a filtered start,
-    with parameters only, after, and the floor; `closed` is None where there was nothing to close.
-    """
+    """Held-out errors: `before` of the nominal model; `same_numbers` of the same with the answer's
+    integration and a filtered start; `parameters_only` of the nominal form with new numbers;
+    `after` of the answer; `floor` what noise alone makes. `closed` is None where there was nothing
+    to close."""
 
     horizon_s: float
     before: float
@@ -237,8 +238,8 @@ def _motion(plant: Plant, episodes: Sequence[Episode]) -> Array:
 def _closed_ci95(
     before: Array, after: Array, base: float, rng: np.random.Generator
 ) -> tuple[float, float] | None:
-    """The 95 % bootstrap interval over windows, candidate and nominal model drawn alike; None of
-    few windows.
+    """The 95 % bootstrap interval over windows, answer and nominal model drawn alike; None where
+    there are few windows.
 
     By hand, since scipy.stats.bootstrap keeps draws in which there is no gap to close.
     """

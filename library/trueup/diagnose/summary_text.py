@@ -13,6 +13,7 @@ from trueup.diagnose.tuning import EVIDENCE
 PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 DIGITS = 2  # of an uncertainty that are worth writing
 SAME_NUMBERS, NEW_NUMBERS, NEAREST = "integration and start", "new numbers", "nearest composition"
+UNEXPLAINED, NOISE = "not explained", "noise floor"
 EFFECTS = "effects"
 NO_GAP = "The nominal model already predicts as well as the noise allows"
 UNKNOWN = "A gap remains that no composition of the catalogue explains"
@@ -44,14 +45,17 @@ def sentence(document: Mapping[str, Any]) -> str:
 def _same_numbers(document: Mapping[str, Any]) -> str:
     """What helps a nominal model whose numbers hold."""
     shares, text = _shares(document), "No effect is missing and no number has to change"
-    # a report of before does not tell its integration and start from its new numbers
+    # an older report does not separate integration and start from new numbers
     if _is_worth_naming(shares, SAME_NUMBERS):
         text += (
-            f": the same model explains {percent(shares[SAME_NUMBERS])} of the gap once it is "
-            "integrated as here and started from a filter over the past"
+            "; the integration scheme and the filtered start of this diagnosis explain "
+            f"{percent(shares[SAME_NUMBERS])} of the gap"
         )
         if _is_worth_naming(shares, NEW_NUMBERS):
-            text += f"; new numbers, not certain to be better, {percent(shares[NEW_NUMBERS])}"
+            text += (
+                f", new numbers another {percent(shares[NEW_NUMBERS])}, which is not certain to be "
+                "an improvement"
+            )
     return text
 
 
@@ -110,8 +114,9 @@ def waterfall(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     integration and start take, what new numbers take, each effect, what is left, the noise.
 
     What all effects take together is measured; it is split between several as each one's removal
-    brings back. Where the gap is not explained it is what the nearest composition takes. A report
-    without `same_numbers` counts integration and start as new numbers. Empty where there is no gap.
+    brings back. Where the verdict is an unknown effect, the nearest composition takes their place.
+    An older report has no `same_numbers`: there, new numbers include integration and start. Empty
+    where there is no gap.
     """
     gap = document["gap"]
     if gap["closed"] is None or not gap["before"] > 0.0:
@@ -131,7 +136,7 @@ def waterfall(document: Mapping[str, Any]) -> list[dict[str, Any]]:
         parts.append((name(e), True, taken[2] * part))
     if unknown and not effects:
         parts.append((NEAREST, False, taken[2]))
-    parts += [("not explained", False, taken[3]), ("noise floor", False, levels[-1])]
+    parts += [(UNEXPLAINED, False, taken[3]), (NOISE, False, levels[-1])]
     return [{"what": what, "effect": is_effect, "share": share} for what, is_effect, share in parts]
 
 
@@ -139,11 +144,10 @@ def _shares(document: Mapping[str, Any]) -> dict[str, float]:
     """What each part takes of the gap above the noise floor, effects together; empty where there is
     no gap."""
     shares: dict[str, float] = {}
-    parts = waterfall(document)
-    for part in parts:
+    for part in waterfall(document):
         what = EFFECTS if part["effect"] else part["what"]
         shares[what] = shares.get(what, 0.0) + part["share"]
-    whole = 1.0 - parts[-1]["share"] if parts else 1.0
+    whole = 1.0 - shares.pop(NOISE, 1.0)
     return {what: share / whole for what, share in shares.items()} if whole > 0.0 else {}
 
 
@@ -182,7 +186,7 @@ def warnings(document: Mapping[str, Any]) -> list[str]:
     )
     sentences = [push.format(when) for when in _pushed(document)]
     evidence, gap = document["evidence"], document["gap"]
-    # a report of before does not tell its clock
+    # an older report does not say what its clock was
     episodes = evidence["episodes"] if "timestep_s" in evidence else []
     late = [off for e in episodes if (off := off_step(e["period_s"], evidence["timestep_s"]))]
     if late:

@@ -101,7 +101,8 @@ def _identify_family(
     names = plant.dynamics.parameter_names
     if len(target) <= len(names):
         raise NotIdentifiable(
-            f"{len(target)} steps cannot tell {len(names)} numbers and how certain they are",
+            f"{len(target)} steps are too few to identify {len(names)} parameters and their "
+            "uncertainty",
             hint="Record longer episodes.",
         )
     solution = solve(design, target, data.span)

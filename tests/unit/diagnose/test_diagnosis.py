@@ -116,8 +116,8 @@ def test_nominal_numbers_that_hold_are_told_from_the_steps_they_are_integrated_o
     assert part > 0.95
     assert numbers["share"] < 0.01
     assert sentence(found.document).startswith(
-        "No effect is missing and no number has to change: the same model explains "
-        f"{percent(part)} of the gap once it is integrated as here and started from a filter over "
+        "No effect is missing and no number has to change; the integration scheme and the filtered "
+        f"start of this diagnosis explain {percent(part)} of the gap; held-out error falls from "
     )
 
 

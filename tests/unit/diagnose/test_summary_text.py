@@ -164,9 +164,9 @@ def test_what_the_nearest_composition_takes_is_not_told_as_new_numbers():
 def test_a_model_that_is_only_integrated_or_started_otherwise_keeps_its_numbers():
     text = sentence(report(verdict="no_gap", same=0.014, numbers=0.013, after=0.013))
     assert text == (
-        "No effect is missing and no number has to change: the same model explains 100 % of the "
-        "gap once it is integrated as here and started from a filter over the past; held-out "
-        "error falls from 0.21 to 0.013, the noise floor is 0.012."
+        "No effect is missing and no number has to change; the integration scheme and the filtered "
+        "start of this diagnosis explain 100 % of the gap; held-out error falls from 0.21 to "
+        "0.013, the noise floor is 0.012."
     )
 
 

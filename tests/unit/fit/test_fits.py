@@ -69,7 +69,9 @@ def test_as_many_steps_as_numbers_are_refused_because_nothing_says_how_certain_t
         observations=whole.observations[:few],
         commands=whole.commands[:few],
     )
-    with pytest.raises(NotIdentifiable, match="3 steps cannot tell 3 numbers") as refused:
+    with pytest.raises(
+        NotIdentifiable, match="3 steps are too few to identify 3 parameters and their uncertainty"
+    ) as refused:
         identify(PLANT, [short])
     assert "longer" in refused.value.hint
 
