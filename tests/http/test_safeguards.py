@@ -58,6 +58,34 @@ def test_a_named_episode_that_shows_none_is_refused_with_the_reason(client, plan
         assert refused.value.facts["digest"] == digest
 
 
+def test_a_family_takes_safe_training_episodes_alone_and_does_without_others(service, tmp_path):
+    with Client(service.url) as client:
+        client.register_plant(plant_document("guarded-family"))
+        digests = {}
+        unsafe, safe = {"stage": "physical"}, SAFE
+        for seed, (name, role, said) in enumerate(
+            (
+                ("unsafe", Role.TRAINING, unsafe),
+                ("safe", Role.TRAINING, safe),
+                ("adaptation", Role.ADAPTATION, unsafe),
+            )
+        ):
+            path = tmp_path / f"{seed}.mcap"
+            path.write_bytes(episode_bytes(900 + seed, role=role, **said))
+            digests[name] = client.upload_episode("guarded-family", path)["digest"]
+        gate = client.declare_gate("guarded-family")["digest"]
+        policy = {"schema": "trueup.policy/1", "gate": gate, "safeguards": "require"}
+        client.declare_policy("guarded-family", policy)
+        fit = {"kind": "fit", "method": "blind"}
+        with pytest.raises(Problem) as refused:
+            client.submit("guarded-family", {**fit, "training": [digests["unsafe"]]})
+        assert refused.value.code == "not-safeguarded"
+        assert refused.value.facts["digest"] == digests["unsafe"]
+        job = client.submit("guarded-family", fit)
+        assert (job["request"]["training"], job["request"]["episodes"]) == ([digests["safe"]], [])
+        client.wait(job["id"])
+
+
 def test_the_summary_of_an_episode_says_what_its_safeguards_did(client, plant):
     name, (_, broken, safe, _), _ = plant
     held = {

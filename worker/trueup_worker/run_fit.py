@@ -66,6 +66,11 @@ class Data:
     episodes: list[Episode]
     training: list[Episode]
 
+    @property
+    def fitted_on(self) -> list[Episode]:
+        """The episodes of which a fit takes its transitions: of a family the training episodes."""
+        return self.training or self.episodes
+
 
 Fitted = tuple[Predictor, dict[str, Json]]
 
@@ -114,7 +119,7 @@ def _provenance(job: JobRecord, data: Data, report: dict[str, Json]) -> dict[str
     return {
         "origin": "fit",
         "episodes": sources([*data.training, *data.episodes]),
-        "coverage": [c.document() for c in coverage_of(data.plant, data.episodes)],
+        "coverage": [c.document() for c in coverage_of(data.plant, data.fitted_on)],
         **({"randomisation": boxes} if boxes else {}),
         "configuration": {"sha256": digest_of(job.request), "document": job.request},
         "code": code_identity(),

@@ -57,12 +57,20 @@ class Submission:
                 )
         return episodes
 
-    def safeguarded(self, episodes: list[EpisodeRecord]) -> list[EpisodeRecord]:
-        """The episodes that the plant's policy lets be used: all, or where it requires safeguards
-        those whose safeguards held. Raises NotSafeguarded for one that the request names."""
+    def safeguarded(
+        self, *roles: Role, field: str = "episodes", optional: bool = False
+    ) -> list[EpisodeRecord]:
+        """The episodes of these roles that the plant's policy lets be used: all, or where it
+        requires safeguards those whose safeguards held.
+
+        Raises NotSafeguarded for one that the request names in the field, and where no other is
+        left, unless the job can do without.
+        """
+        episodes = self.episodes(*roles, field=field)
         kept = only_safeguarded(policy_of(self.tx, self.plant), episodes)
         refused = [e for e in episodes if e not in kept]
-        if refused and (self.names_episodes or not kept):
+        named = self.request.get(field) is not None
+        if refused and (named or not (kept or optional)):
             raise NotSafeguarded(
                 "the plant's policy requires safeguards, and of episode "
                 f"{refused[0].digest[:12]} {_refusal(refused[0])}",

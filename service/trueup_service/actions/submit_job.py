@@ -29,11 +29,12 @@ def submit_fit(s: Submission) -> JobRecord:
     """Submit a fit of `method` from the named adaptation episodes, or from all of them; of a whole
     family from training episodes. Raises NotFound, RoleRefused, NotIdentifiable."""
     find.plant_digest(s.tx, s.plant)
-    episodes = s.safeguarded(s.episodes(Role.ADAPTATION))
     if s.request["method"] not in OF_FAMILIES:
+        episodes = s.safeguarded(Role.ADAPTATION)
         require_some(episodes, Role.ADAPTATION, "adaptation episode to fit")
         return s.enqueue("fit", _from_parent(s, digests_of(episodes)))
-    training = s.safeguarded(s.episodes(Role.TRAINING, field="training"))
+    episodes = s.safeguarded(Role.ADAPTATION, optional=True)
+    training = s.safeguarded(Role.TRAINING, field="training")
     require_some(training, Role.TRAINING, "training episode of a plant of the family")
     if s.request["method"] == "conditioned":
         require_context(s, episodes)
@@ -55,7 +56,7 @@ def submit_blindtrial(s: Submission) -> JobRecord:
 
 def _submit_on_both(s: Submission, kind: str) -> JobRecord:
     find.plant_digest(s.tx, s.plant)
-    episodes = s.safeguarded(s.episodes(Role.ADAPTATION, Role.VALIDATION))
+    episodes = s.safeguarded(Role.ADAPTATION, Role.VALIDATION)
     for role in (Role.ADAPTATION, Role.VALIDATION):
         of_role = [e for e in episodes if e.role == role]
         require_some(of_role, role, f"{role} episode to start from")
@@ -146,7 +147,7 @@ def submit_randomisation(s: Submission) -> JobRecord:
     """Submit draws from a family of plants, and fits of its predictors. Raises NotFound,
     RoleRefused, NotIdentifiable."""
     find.plant_digest(s.tx, s.plant)
-    episodes = s.safeguarded(s.episodes(Role.ADAPTATION))
+    episodes = s.safeguarded(Role.ADAPTATION, optional=True)
     require_context(s, episodes)
     frozen = _from_parent(s, digests_of(episodes))
     if "randomisation" not in s.request:

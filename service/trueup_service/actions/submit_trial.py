@@ -25,7 +25,7 @@ def submit_gate(s: Submission) -> JobRecord:
     tx.plants.lock(plant)
     tx.lock_name("uses of held-out episodes")  # which are counted over all plants
     require_in_force(tx, plant, gate)
-    held_out = _not_fitted(s, s.safeguarded(s.episodes(*HELD_OUT)))
+    held_out = _not_fitted(s, s.safeguarded(*HELD_OUT))
     if not held_out:
         raise BadGate(
             "there is no held-out episode to judge on",
