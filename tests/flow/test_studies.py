@@ -186,6 +186,10 @@ def test_a_family_is_drawn_on_the_service_and_answers_where_a_plant_lies(service
         fitted_blind = client.membership("chapter", fitted["blind"]["artifact"])
         assert fitted_blind["family_box"] is None
         assert fitted_blind["sample_box"] == client.membership("chapter", blind)["sample_box"]
+        for wrong in (float("nan"), float("inf"), 10**400, True, "1"):
+            with pytest.raises(Problem, match="no JSON object of numbers") as refused:
+                client.membership("chapter", blind, parameters={"k": wrong})
+            assert (refused.value.status, refused.value.code) == (422, "bad-randomisation")
         with pytest.raises(Problem, match="no family") as refused:
             client.membership("chapter", fitted["residual"]["artifact"])
         assert refused.value.code == "not-found"

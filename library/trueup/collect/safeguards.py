@@ -19,11 +19,11 @@ and cannot be checked.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import orjson
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
@@ -121,7 +121,7 @@ def _read(text: str | None, name: str, warnings: list[str]) -> list[Safeguard] |
     if not text.lstrip().startswith(("[", "{")):
         return None
     try:
-        given = json.loads(text)
+        given = orjson.loads(text)
         entries = given if isinstance(given, list) else [given]
         if not 0 < len(entries) <= MOST or (name == STOP and len(entries) != 1):
             raise ValueError(f"it holds {len(entries)} entries")

@@ -9,7 +9,6 @@ Unknown", RSS 2017.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
@@ -20,13 +19,14 @@ from numpy.typing import NDArray
 from trueup.canonical import Json
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
-from trueup.errors import NotAnEpisode, NotIdentifiable
+from trueup.errors import BadPlant, NotAnEpisode, NotIdentifiable
 from trueup.fit.identify import identify
 from trueup.fit.least_squares import ridge
 from trueup.fit.residual import RIDGE
 from trueup.fit.score import EVERY, Scoring, score
 from trueup.fit.transitions import transitions
 from trueup.model.features import conditioned, design, polynomial
+from trueup.model.fields import Reader
 from trueup.model.plant import Plant
 from trueup.model.predictor import Blind, Conditioned, LinearMap
 
@@ -149,10 +149,11 @@ def _recorded(plant: Plant, episode: Episode) -> dict[str, float] | None:
     if text is None:
         return None
     try:
-        given = {str(name): float(value) for name, value in json.loads(text).items()}
-    except (ValueError, TypeError, AttributeError) as error:
+        given = Reader.of_text(text, CONTEXT).every_number()
+    except BadPlant as error:
         raise NotAnEpisode(
-            f"the context of training episode {episode.digest[:12]} is no JSON object of numbers",
+            f"the context of training episode {episode.digest[:12]} is no JSON object of numbers: "
+            f"{error.message}",
             rule="context",
             digest=episode.digest,
         ) from error

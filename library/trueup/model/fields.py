@@ -7,6 +7,8 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import orjson
+
 from trueup.canonical import Json
 from trueup.errors import BadPlant
 
@@ -33,6 +35,14 @@ class Reader:
         if not isinstance(document, Mapping):
             raise BadPlant(f"{path or 'the document'} must be an object", field=path)
         return Reader(document, path)
+
+    @staticmethod
+    def of_text(text: str, path: str = "") -> Reader:
+        """A reader of the JSON object that a text holds. Raises BadPlant where it holds none."""
+        try:
+            return Reader.of(orjson.loads(text), path)
+        except orjson.JSONDecodeError as error:
+            raise BadPlant(f"{path or 'the document'} is no JSON: {error}", field=path) from error
 
     def at(self, key: str) -> str:
         """The path to a key."""
@@ -77,6 +87,10 @@ class Reader:
             wanted = "a finite number" if above == -math.inf else f"a finite number above {above:g}"
             raise BadPlant(f"{self.at(key)} must be {wanted}", field=self.at(key))
         return float(value)
+
+    def every_number(self) -> dict[str, float]:
+        """All fields as finite numbers, by name."""
+        return {name: self.number(name) for name in self.value}
 
     def text(self, key: str, default: str | None = None) -> str:
         """A printable string of 1 to 256 characters. Raises BadPlant."""

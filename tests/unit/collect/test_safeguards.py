@@ -113,6 +113,7 @@ def test_free_text_is_kept_and_not_checked():
         ({**GUARD, "within_s": 1.0}, "within_s"),
         ([], "0 entries"),
         ("[broken", "cannot be checked"),
+        ("[" * 4000, "cannot be checked"),
     ],
 )
 def test_what_is_no_safeguard_is_said_and_refuses_nothing(guard, says):

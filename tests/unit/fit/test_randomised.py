@@ -94,7 +94,8 @@ def test_training_data_of_another_role_or_without_sense_are_refused(episodes):
         pooled(PLANT, [replace(episodes[0], role=Role.ADAPTATION)])
     with pytest.raises(NotIdentifiable, match="no training episode"):
         pooled(PLANT, [])
-    for text in ("k=1", "[1, 2]", '{"k": "soft"}'):
+    huge, nested = '{"k": %s}' % ("9" * 400), "[" * 4000
+    for text in ("k=1", "[1, 2]", '{"k": "soft"}', '{"k": NaN}', '{"k": true}', huge, nested):
         strange = replace(episodes[0], conditions={"context": text})
         with pytest.raises(NotAnEpisode, match="no JSON object of numbers"):
             pooled(PLANT, [strange])

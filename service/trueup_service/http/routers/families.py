@@ -10,7 +10,8 @@ from typing import Annotated, Any
 from fastapi import Query
 
 from trueup.canonical import Json
-from trueup.errors import BadRandomisation
+from trueup.errors import BadPlant, BadRandomisation
+from trueup.model.fields import Reader
 from trueup.randomise.membership import box_of_document, membership
 from trueup_service.actions import find
 from trueup_service.errors import NotFound
@@ -64,7 +65,8 @@ def get_membership(
                     name=plant,
                     hint="Fit one with the method identify, or send `parameters`.",
                 )
-            values = _numbers(_manifest(record).get("predictor", {}).get("parameters", {}))
+            declared: Any = _manifest(record).get("predictor", {}).get("parameters", {})
+            values = {str(name): float(value) for name, value in declared.items()}
     answers: dict[str, Any] = {
         name: None if box is None else membership(box_of_document(box), values)
         for name, box in boxes.items()
@@ -94,14 +96,10 @@ def _manifest(record: ArtifactRecord) -> dict[str, Any]:
 
 def _given(text: str) -> dict[str, float]:
     try:
-        return _numbers(json.loads(text))
-    except (ValueError, TypeError, AttributeError) as error:
+        return Reader.of_text(text, "parameters").every_number()
+    except BadPlant as error:
         raise BadRandomisation(
-            "`parameters` is no JSON object of numbers",
+            f"`parameters` is no JSON object of numbers: {error.message}",
             field="parameters",
             hint='Send such as {"k": 1.25, "c": 0.62}.',
         ) from error
-
-
-def _numbers(given: Mapping[str, Any]) -> dict[str, float]:
-    return {str(name): float(value) for name, value in given.items()}

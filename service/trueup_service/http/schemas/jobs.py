@@ -53,12 +53,15 @@ class JobWithReads(Job):
     outputs: list[Output]
 
 
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
 class Context(RequestBody):
     """The parameters that a conditioned predictor is fed: identified from adaptation episodes,
     configured as plant.json declares, or measured, with the values by name."""
 
     by: Literal["identification", "configuration", "measurement"] = "identification"
-    parameters: dict[str, float] | None = Field(
+    parameters: dict[str, Finite] | None = Field(
         None, description="measurement only; a parameter that is left out is nominal"
     )
 
