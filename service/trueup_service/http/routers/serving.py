@@ -84,8 +84,8 @@ def history(
     after: Annotated[int, Query(ge=0, le=2**31 - 1, description="generation")] = 0,
     limit: Limit = 100,
 ) -> Page[Serving]:
-    """Every position of the pointer in order, or with `at` the one at that time, which is not in
-    the future."""
+    """Every position of the pointer in order, or with `at`, a time that has passed, the one at that
+    time."""
     with reading(parts.database) as tx:
         find.plant_digest(tx, plant)
         if at is not None:
