@@ -6,6 +6,7 @@ from pathlib import Path
 
 from trueup.diagnose.model_selection import PHYSICAL, ROBOT, SIMULATED, SelectionCriteria
 from trueup.diagnose.tuning import GROUPS
+from trueup.doctor.tuning import GROUPS as DOCTOR
 
 HEAD = """# Tuning
 
@@ -15,12 +16,18 @@ and were set on the open development set: simulated machines whose hidden effect
 (`bench/diagnosis.py` draws them; the [figures](figures.md) say how often the answer is right).
 Machines on which the method is judged had no part in it. Who changes a number runs that set again.
 """
+DOCTOR_HEAD = """# Tuning of the doctor
+
+Every number that decides whether something is a [fault of a log](doctor.md), from
+`library/trueup/doctor/tuning.py`. They were set so that sound logs, simulated and real, have none.
+"""
 CRITERIA = {"a simulated joint": SIMULATED, "a simulated robot": ROBOT, "a machine": PHYSICAL}
 
 
 def page() -> str:
     """The page's text."""
-    parts = [HEAD, *(_group(group) for group in GROUPS), _criteria()]
+    parts = [HEAD, *(_group(group) for group in GROUPS), _criteria(), DOCTOR_HEAD]
+    parts += [_group(group) for group in DOCTOR]
     return "\n".join(parts)
 
 

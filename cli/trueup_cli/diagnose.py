@@ -95,7 +95,7 @@ def write(diagnosis: Diagnosis, episodes: list[Episode], out: Path) -> None:
     if ranges is not None:
         (out / RANDOMISATION_FILE).write_text(json.dumps(ranges, indent=1) + "\n")
     (out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
-    (out / "report.html").write_text(report_page(report, figures(diagnosis, episodes)))
+    (out / "report.html").write_text(report_page(report, figures(diagnosis)))
 
 
 def write_mjcf(diagnosis: Diagnosis, case: Path, out: Path) -> dict[str, Path]:

@@ -1,4 +1,5 @@
-"""`trueup doctor`: what is installed, and what a missing part is needed for."""
+"""`trueup doctor`: what is wrong with a case's recordings; without a case, what is installed, and
+what a missing part is needed for."""
 
 from __future__ import annotations
 
@@ -88,11 +89,43 @@ def _cache() -> Finding:
     )
 
 
-def doctor(*, as_json_: Json = False) -> None:
-    """Show what is installed, and what a missing part is needed for.
+def doctor(
+    case: Path | None = None,
+    *,
+    mend: Path | None = None,
+    strict: bool = False,
+    as_json_: Json = False,
+) -> None:
+    """Look for faults in the recordings of a case: units, signs, scales, order, stamps, samples.
 
-    The exit code is 1 if a needed part is missing.
+    Without a case, show what is installed, and what a missing part is needed for; the exit code is
+    then 1 if a needed part is missing.
+
+    Parameters
+    ----------
+    case
+        folder with plant.json and *.mcap episodes
+    mend
+        folder to write the case to with every mend applied; the recordings of CASE stay as they are
+    strict
+        exit with 1 if anything was found
     """
+    if case is None:
+        _installation(as_json_=as_json_)
+        return
+    from trueup_cli.examination import examined, show
+    from trueup_cli.examination import mend as write_mended
+
+    result = examined(case)
+    if mend is not None:
+        write_mended(result, mend)
+    show(result, mend, json_=as_json_)
+    if strict and result.findings:
+        raise SystemExit(REFUSED)
+
+
+def _installation(*, as_json_: bool) -> None:
+    """Shows every part of the installation."""
     parts = findings()
     if as_json_:
         as_json([asdict(f) for f in parts])

@@ -68,7 +68,7 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
         },
     }
     artifact = pack(diagnosis.predictor, provenance)
-    drawn = canonical_bytes(figures(diagnosis, episodes))
+    drawn = canonical_bytes(figures(diagnosis))
     files = [keep_file(parts, FIGURES_FILE, "application/json", drawn)]
     ranges = supported_ranges(diagnosis.predictor, report)
     if ranges is not None:

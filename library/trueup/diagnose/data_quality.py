@@ -77,7 +77,7 @@ def assess(plant: Plant, episodes: Sequence[Episode]) -> DataQuality:
     joints = len(plant.joints)
     noise, sigma, motion = (np.full(2 * joints, np.nan) for _ in range(3))
     lattice, correlation = np.zeros(2 * joints), np.zeros(2 * joints)
-    repeats = [held_frames(positions_and_velocities(plant, e)) for e in episodes]
+    repeats = [held_frames(positions_and_velocities(plant, e), e.t_s) for e in episodes]
     for channel, column in enumerate(plant.state_columns):
         tracks = [
             e.observations[:, channel][~r[:, column]]

@@ -50,13 +50,22 @@ class Diagnosis:
     document: Mapping[str, Json]
     predictor: Corrected
     patch: Patch
-    plant: Plant
-    validation: Sequence[Episode]
+    recordings: Recordings
     gap: Gap
     choice: Choice
     experiment: Experiment | None
     search: Search
     nominal: RolloutFit
+
+    @property
+    def plant(self) -> Plant:
+        """The plant that was diagnosed."""
+        return self.recordings.plant
+
+    @property
+    def validation(self) -> Sequence[Episode]:
+        """The episodes that were compared on, without what says nothing."""
+        return self.recordings.validation
 
 
 class _Selection:
@@ -129,6 +138,7 @@ def diagnose(
     where there are none of either, or where the joint never moves. The tasks of the search are done
     by whoever may `solve` them; the answer is the same.
     """
+    progress("looking for faults in the log", 0.0)
     recordings = Recordings.of(plant, episodes)
     adaptation, validation = recordings.adaptation, recordings.validation
     progress("looking at the episodes", 0.0)
@@ -166,9 +176,10 @@ def diagnose(
         where=locate(plant, search, choice.winner, nominal, adaptation, validation),
         experiment=experiment,
         episodes=episodes,
+        findings=recordings.findings,
         seed=seed,
     )
     progress("done", 1.0)
     return Diagnosis(
-        document, predictor, changes, plant, validation, gap, choice, experiment, search, nominal
+        document, predictor, changes, recordings, gap, choice, experiment, search, nominal
     )

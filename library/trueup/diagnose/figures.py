@@ -36,9 +36,9 @@ FIGURES_FILE = "figures.json"
 EPISODES = 4  # held-out recordings that are drawn, those that move furthest
 
 
-def figures(diagnosis: Diagnosis, episodes: Sequence[Episode]) -> dict[str, Json]:
-    """The numbers behind the pictures of a diagnosis of these episodes."""
-    plant, columns = diagnosis.plant, _told(diagnosis)
+def figures(diagnosis: Diagnosis) -> dict[str, Json]:
+    """The numbers behind the pictures of a diagnosis."""
+    plant, columns, episodes = diagnosis.plant, _told(diagnosis), diagnosis.recordings.every
     models = {"nominal": Nominal(plant), "corrected": diagnosis.predictor}
     return {
         "schema": SCHEMA,

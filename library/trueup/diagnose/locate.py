@@ -152,9 +152,9 @@ def _pushed(plant: Plant, s: Strides, episodes: Sequence[Episode]) -> list[Json]
             ]
             entries.append(
                 {
-                    "episode": e.digest,
-                    "from_s": round(begin, 2),
-                    "to_s": round(end, 2),
+                    "episode": e.recording,
+                    "from_s": round(e.begins_s + begin, 2),
+                    "to_s": round(e.begins_s + end, 2),
                     "joints": joints,
                 }
             )

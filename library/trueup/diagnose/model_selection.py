@@ -24,13 +24,14 @@ import numpy as np
 from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.indistinguishable import are_aliases
 from trueup.diagnose.measure import Gap
-from trueup.diagnose.tuning import SELECTION, number, required
+from trueup.diagnose.tuning import SELECTION
 from trueup.episode.episode import Episode, is_physical
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.block import kind
 from trueup.model.dynamics import CompiledTree, Dynamics
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
+from trueup.numbers import number, required
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,6 +25,8 @@ from trueup.diagnose.spatial_periods import spatial_periods
 from trueup.diagnose.strategy import Strategy, strategy_for
 from trueup.diagnose.tuning import SETUP
 from trueup.diagnose.windowed_fits import WindowedFits
+from trueup.doctor.examine import usable
+from trueup.doctor.finding import Finding
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
@@ -42,16 +44,20 @@ from trueup.model.series import Scheme, Series, series
 @dataclass(frozen=True)
 class Recordings:
     """A plant with the episodes that are fitted and those that compare, each in the order of their
-    digests: however they were handed in, the report is the same."""
+    digests: however they were handed in, the report is the same. `findings` are what is wrong with
+    them; what says nothing is left out of them."""
 
     plant: Plant
     adaptation: Sequence[Episode]
     validation: Sequence[Episode]
+    findings: Sequence[Finding] = ()
 
     @staticmethod
     def of(plant: Plant, episodes: Sequence[Episode]) -> Recordings:
-        """Episodes by role. Raises NotIdentifiable without a validation episode."""
-        ordered = sorted(episodes, key=lambda e: e.digest)
+        """The usable part of episodes, by role. Raises NotIdentifiable without a validation
+        episode."""
+        known = usable(plant, sorted(episodes, key=lambda e: e.digest))
+        ordered = sorted(known.episodes, key=lambda e: e.digest)
         adaptation = [e for e in ordered if e.role is Role.ADAPTATION]
         validation = [e for e in ordered if e.role is Role.VALIDATION]
         if not validation:
@@ -59,7 +65,7 @@ class Recordings:
                 "there is no validation episode to compare on",
                 hint="Give at least one episode the role validation.",
             )
-        return Recordings(plant, adaptation, validation)
+        return Recordings(plant, adaptation, validation, known.findings)
 
     @property
     def every(self) -> list[Episode]:

@@ -15,6 +15,7 @@ from trueup.diagnose.measure import Gap
 from trueup.diagnose.model_selection import Choice, Conclusion
 from trueup.diagnose.next_experiment import Experiment
 from trueup.diagnose.search import Search
+from trueup.doctor.finding import Finding, documents
 from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import TWO_SIDED, RolloutFit
 from trueup.model.block import joint, kind
@@ -46,6 +47,7 @@ def report(
     where: Mapping[str, Json],
     experiment: Experiment | None,
     episodes: Sequence[Episode],
+    findings: Sequence[Finding],
     seed: int,
 ) -> dict[str, Json]:
     """The report; `answer` is the choice's winner as it was fitted last, where the search's steps
@@ -64,6 +66,7 @@ def report(
     return {
         "schema": SCHEMA,
         "plant": plant.name,
+        "findings": documents(findings),
         "verdict": str(verdict),
         "effects": list(named),
         "indistinguishable": [

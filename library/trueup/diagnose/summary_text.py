@@ -15,13 +15,25 @@ DIGITS = 2  # of an uncertainty that are worth writing
 SAME_NUMBERS, NEW_NUMBERS, NEAREST = "integration and start", "new numbers", "nearest composition"
 UNEXPLAINED, NOISE = "not explained", "noise floor"
 EFFECTS = "effects"
+# faults of a log with which no diagnosis of the machine means anything
+MISLEADING = (
+    "position_unit",
+    "velocity_unit",
+    "length_unit",
+    "command_sign",
+    "command_scale",
+    "joints_swapped",
+    "topic_offset",
+    "velocity_sign",
+)
 NO_GAP = "The nominal model already predicts as well as the noise allows"
 UNKNOWN = "A gap remains that no composition of the catalogue explains"
 
 
 def sentence(document: Mapping[str, Any]) -> str:
-    """The answer of a report in a sentence or two."""
+    """The answer of a report in a sentence or two; what the log's own faults put in doubt first."""
     gap = document["gap"]
+    doubts = _doubts(document)
     match document["verdict"]:
         case "effect":
             text = _effects(document)
@@ -39,7 +51,40 @@ def sentence(document: Mapping[str, Any]) -> str:
     others = document["indistinguishable"]
     if others:
         text += ". The data cannot tell this from " + ", or ".join(composition(o) for o in others)
-    return text + "."
+    return doubts + text + "."
+
+
+def _doubts(document: Mapping[str, Any]) -> str:
+    """What has to be mended in the log before the answer means anything; empty where nothing has.
+    An older report has no findings."""
+    faults = [
+        f"{f['finding'].replace('_', ' ')}{_of_channel(f)}"
+        for f in document.get("findings", [])
+        if f["finding"] in MISLEADING and not f["applied"]
+    ]
+    return (
+        f"Mend the log first: {', '.join(dict.fromkeys(faults))}. As recorded: " if faults else ""
+    )
+
+
+def _of_channel(finding: Mapping[str, Any]) -> str:
+    return f" of {finding['channel']}" if finding["channel"] else ""
+
+
+def faults(document: Mapping[str, Any]) -> list[str]:
+    """What is wrong with the log, a sentence or two for each fault of a channel: what shows it, and
+    the mend, where it was not applied. An older report has no findings."""
+    alike: dict[tuple[str, str | None], list[Mapping[str, Any]]] = {}
+    for f in document.get("findings", []):
+        alike.setdefault((f["finding"], f["channel"]), []).append(f)
+    sentences = []
+    for (fault, _), findings in alike.items():
+        f = findings[0]
+        head = f"{fault.replace('_', ' ')}{_of_channel(f)}"
+        more = f"; {len(findings) - 1} more like it" if len(findings) > 1 else ""
+        done = f"Done: {f['mend'][0].lower()}{f['mend'][1:]}" if f["applied"] else f["mend"]
+        sentences.append(f"{head[0].upper()}{head[1:]}: {f['evidence']}{more}. {done}")
+    return sentences
 
 
 def _same_numbers(document: Mapping[str, Any]) -> str:
@@ -184,7 +229,7 @@ def warnings(document: Mapping[str, Any]) -> list[str]:
     push = (
         "Something outside pushes, as a contact does: {}. Leave it out: a contact is not simulated."
     )
-    sentences = [push.format(when) for when in _pushed(document)]
+    sentences = [*faults(document), *(push.format(when) for when in _pushed(document))]
     evidence, gap = document["evidence"], document["gap"]
     # an older report does not say what its clock was
     episodes = evidence["episodes"] if "timestep_s" in evidence else []

@@ -7,18 +7,9 @@ laws themselves is in `model_selection.SelectionCriteria`. `docs/tuning.md` is m
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
-
-def number(value: Any, unit: str, why: str) -> Any:
-    """A field with its value, its unit and the reason for it."""
-    return field(default=value, metadata={"unit": unit, "why": why})
-
-
-def required(unit: str, why: str) -> Any:
-    """A field without a value of its own, with its unit and the reason for it."""
-    return field(metadata={"unit": unit, "why": why})
+from trueup.numbers import number
 
 
 @dataclass(frozen=True, slots=True)

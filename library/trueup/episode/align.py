@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.episode.layout import Field
+from trueup.episode.omission import Omission, TopicOffset
 from trueup.episode.track import Track
 from trueup.errors import NotAnEpisode
 
@@ -17,30 +18,33 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True, slots=True)
 class Aligned:
     """Stamps [ns] `(samples,)`, observations, issued commands and, where they were recorded,
-    applied ones at them."""
+    applied ones at them; what was left out, and how the two topics lie against each other."""
 
     stamps: NDArray[np.int64]
     observations: Array
     commands: Array
     applied: Array | None
+    omissions: tuple[Omission, ...]
+    offset: TopicOffset
 
 
-def align(observed: Track, issued: Track, applied: Track | None = None) -> Aligned:
+def align(
+    observed: Track, issued: Track, applied: Track | None = None, late_ns: int = 0
+) -> Aligned:
     """Everything at the stamps of the observations, from the first command on.
 
     Header stamps count if every topic has them, log times otherwise: two clocks would not be one.
-    Raises NotAnEpisode.
+    Observations happened `late_ns` [ns] before their stamps. Raises NotAnEpisode.
     """
     tracks = (observed, issued) if applied is None else (observed, issued, applied)
-    for track in tracks:
-        track.require_finite()
     issued.require(issued.channels)
     observed.require([c for c in observed.channels if c.field is Field.POSITION])
     by_stamp = all(track.has_stamps for track in tracks)
-    stamps, command_stamps = (
-        observed.times_ns(by_stamp=by_stamp),
-        issued.times_ns(by_stamp=by_stamp),
-    )
+    kept = [track.kept(by_stamp=by_stamp) for track in tracks]
+    observed, issued = kept[0][0], kept[1][0]
+    applied = None if applied is None else kept[2][0]
+    stamps = observed.times_ns(by_stamp=by_stamp) - late_ns
+    command_stamps = issued.times_ns(by_stamp=by_stamp)
     if command_stamps[0] > stamps[-1] or (
         len(command_stamps) > 1 and command_stamps[-1] < stamps[0]
     ):
@@ -49,6 +53,7 @@ def align(observed: Track, issued: Track, applied: Track | None = None) -> Align
             rule="clock",
             topic=issued.topic,
         )
+    offset = _offset(observed, issued, by_stamp=by_stamp)
     in_force = np.searchsorted(command_stamps, stamps, side="right") - 1
     first = int(np.argmax(in_force >= 0))
     commands = _over_intervals(stamps[first:], command_stamps, issued.values, in_force[first:])
@@ -58,6 +63,21 @@ def align(observed: Track, issued: Track, applied: Track | None = None) -> Align
         observed.values[first:],
         commands,
         None if applied is None else _applied(stamps, applied, by_stamp=by_stamp),
+        tuple(o for _, omissions in kept for o in omissions),
+        offset,
+    )
+
+
+def _offset(observed: Track, issued: Track, *, by_stamp: bool) -> TopicOffset:
+    """How the topics lie against each other."""
+    stamps, command_stamps = (t.times_ns(by_stamp=by_stamp) for t in (observed, issued))
+    latencies = [float(np.median(t.log_ns - t.stamp_ns)) / 1e9 for t in (observed, issued)]
+    return TopicOffset(
+        int(stamps[0] - command_stamps[0]) / 1e9,
+        int(stamps[-1] - command_stamps[-1]) / 1e9,
+        len(stamps),
+        len(command_stamps),
+        (latencies[0], latencies[1]) if by_stamp else None,
     )
 
 

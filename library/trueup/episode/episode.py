@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trueup.episode.layout import Layout
+from trueup.episode.omission import Omission, TopicOffset
 from trueup.episode.role import Role
 from trueup.errors import NotAnEpisode, RoleRefused
 
@@ -28,7 +29,10 @@ class Episode:
     between. These are the commands that were issued; `applied` `(samples, command channels)` is
     what the drive reports to have applied of them, None where no log says so, nan before its first
     message. A channel that the log lacks is a column of nan, named in `missing`. `clock_doubts`
-    says where the log's own clocks contradict each other. The arrays cannot be written to.
+    says where the log's own clocks contradict each other; `omissions` which messages were left out
+    because they say nothing; `offset` how the topics lie against each other, None where the episode
+    was not read from a recording. A part of a recording begins `begins_s` [s] after it, and its
+    digest is the recording's with what it is a part of. The arrays cannot be written to.
     """
 
     t_s: NDArray[np.float64]
@@ -41,6 +45,9 @@ class Episode:
     digest: str
     clock_doubts: tuple[str, ...] = ()
     applied: NDArray[np.float64] | None = None
+    omissions: tuple[Omission, ...] = ()
+    offset: TopicOffset | None = None
+    begins_s: float = 0.0
 
     def __post_init__(self) -> None:
         samples = len(self.t_s)
@@ -89,6 +96,26 @@ class Episode:
         for values in (self.observations, self.commands):
             hashed.update(np.where(np.isnan(values), np.nan, values + 0.0).astype("<f8").tobytes())
         return hashed.hexdigest()
+
+    @property
+    def recording(self) -> str:
+        """The digest of the recording that this is, or is a part of."""
+        return self.digest.split(",", 1)[0]
+
+    def part(self, first: int, last: int) -> Episode:
+        """The samples from `first` to before `last`, as an episode."""
+        if (first, last) == (0, len(self.t_s)):
+            return self
+        kept = slice(first, last)
+        return replace(
+            self,
+            t_s=self.t_s[kept] - self.t_s[first],
+            commands=self.commands[kept].copy(),
+            observations=self.observations[kept].copy(),
+            applied=None if self.applied is None else self.applied[kept].copy(),
+            begins_s=self.begins_s + float(self.t_s[first]),
+            digest=f"{self.digest}, samples {first} to {last}",
+        )
 
     @property
     def period_s(self) -> float:

@@ -9,7 +9,8 @@ Rules of an episode, each named in the NotAnEpisode that it raises:
 - clock: header stamps count where all topics have them, log times otherwise; they strictly
   increase, and they overlap;
 - samples: two aligned samples at least, every command and every declared position among them;
-- finite: a value is finite, or its whole channel is missing.
+- finite: a value is finite, or its whole channel is missing; a few messages that break this, or
+  repeat a stamp, are left out and named.
 """
 
 from __future__ import annotations
@@ -40,9 +41,10 @@ def read_episode(data: bytes, layout: Layout, limits: Limits = LIMITS) -> Episod
 
 
 def read_episode_stream(
-    stream: BinaryIO, size: int, layout: Layout, limits: Limits = LIMITS
+    stream: BinaryIO, size: int, layout: Layout, limits: Limits = LIMITS, *, late_s: float = 0.0
 ) -> Episode:
-    """The episode in a stream of `size` bytes, read once, chunk by chunk. Raises BadEpisode."""
+    """The episode in a stream of `size` bytes, read once, chunk by chunk; its observations happened
+    `late_s` [s] before their stamps. Raises BadEpisode."""
     hashed = _Hashed(stream)
     walk = Walk(cast(BinaryIO, hashed), size, limits, wanted=(EPISODE_RECORD,))
     tracks = (
@@ -60,7 +62,7 @@ def read_episode_stream(
     known = sorted({t.name for t in walk.contents.topics.values()})
     observed, issued = (track.track(known) for track in tracks[:2])
     applied = tracks[2].track(known) if tracks[2] else None
-    aligned = align(observed, issued, applied)
+    aligned = align(observed, issued, applied, round(1e9 * late_s))
     amiss = doubts(observed) + (doubts(issued) if issued.topic != observed.topic else ())
     start = int(aligned.stamps[0])
     return Episode(
@@ -74,6 +76,8 @@ def read_episode_stream(
         hashed.digest,
         amiss,
         aligned.applied,
+        tuple(o.since(start) for o in aligned.omissions),
+        aligned.offset,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +12,12 @@ from trueup.episode.container import Message, MessageBlock, Topic
 from trueup.episode.decoders import Decoder, decoder
 from trueup.episode.joint_state import Columns
 from trueup.episode.layout import Channel
+from trueup.episode.omission import MOST_OMITTED, Omission, Reason
 from trueup.errors import NotAnEpisode
 
 # one month: a longer episode is a clock that was set while recording
 LONGEST_NS = 30 * 24 * 3600 * 1_000_000_000
+NS_PER_S = 1e9
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,17 +57,63 @@ class Track:
             )
         return times
 
-    def require_finite(self) -> None:
-        """Raises NotAnEpisode (rule `finite`) for a channel that lacks some values, or has one that
-        is not a finite number."""
-        for column, channel in zip(self.values.T, self.channels, strict=True):
-            bad = np.flatnonzero(~np.isfinite(column))
-            if len(bad) and not np.isnan(column).all():
-                what = (
-                    f"message {int(bad[0])} on {self.topic} has no finite {channel.field} "
-                    f"for channel {channel.name}"
-                )
-                raise self._refused(what, "finite", index=int(bad[0]), channel=channel.name)
+    def kept(self, *, by_stamp: bool) -> tuple[Track, tuple[Omission, ...]]:
+        """The track without messages that say nothing, and what was left out.
+
+        Left out are messages in which a channel has no finite number, although it has one in
+        others, and messages that repeat the time of the one before. Raises NotAnEpisode (rules
+        `finite` and `clock`) where that is more than `MOST_OMITTED` of the topic.
+        """
+        times = self.stamp_ns if by_stamp else self.log_ns
+        has_values = ~np.isnan(self.values).all(axis=0)
+        broken = ~np.isfinite(self.values) & has_values
+        repeats = np.append(False, np.diff(times) == 0)
+        omissions = [
+            self._omission(Reason.NOT_FINITE, column, times, channel)
+            for column, channel in zip(broken.T, self.channels, strict=True)
+        ]
+        omissions.append(self._omission(Reason.REPEATED_STAMP, repeats, times, None))
+        good = ~(broken.any(axis=1) | repeats)
+        kept = replace(
+            self,
+            stamp_ns=self.stamp_ns[good],
+            log_ns=self.log_ns[good],
+            values=self.values[good],
+        )
+        return kept, tuple(o for o in omissions if o is not None)
+
+    def _omission(
+        self,
+        reason: Reason,
+        which: NDArray[np.bool_],
+        times: NDArray[np.int64],
+        channel: Channel | None,
+    ) -> Omission | None:
+        """What is left out for one reason, None where nothing is. Raises NotAnEpisode where it is
+        too much."""
+        index = np.flatnonzero(which)
+        if not len(index):
+            return None
+        first = int(index[0])
+        if len(index) > MOST_OMITTED * len(which):
+            if channel is None:
+                what = f"message {first} on {self.topic} is not later than the one before it"
+                raise self._refused(what, "clock", index=first, stamp_ns=str(times[first]))
+            raise self._refused(
+                f"message {first} on {self.topic} has no finite {channel.field} "
+                f"for channel {channel.name}, nor have {len(index) - 1} others of {len(which)}",
+                "finite",
+                index=first,
+                channel=channel.name,
+            )
+        return Omission(
+            reason,
+            self.topic,
+            channel.name if channel else None,
+            len(index),
+            int(times[first]) / NS_PER_S,
+            int(times[index[-1]]) / NS_PER_S,
+        )
 
     def require(self, channels: Sequence[Channel]) -> None:
         """Raises NotAnEpisode (rule `samples`) if the log lacks one of these channels

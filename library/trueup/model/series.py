@@ -24,6 +24,8 @@ FINE_S = 0.0125  # there the error of a 1 Hz motion is 3e-4
 # times the step after it: the one that follows a lost frame, which a joint that stuck does not make
 CATCHES_UP = 1.5
 MOSTLY = 0.4  # of the short runs
+STEPS = 2.0  # of the sensor, by which a joint must have moved for a repeated value to be a lost one
+ROUNDING = 1e-9  # of the range: closer values are one value
 AT_REST = 6  # equal positions in a row are a joint at rest, not frames lost one after another
 
 
@@ -110,7 +112,7 @@ def whole(
         issued,
         integral_of(issued, t),
         np.nan_to_num(observed),
-        np.isfinite(observed) & ~held_frames(observed),
+        np.isfinite(observed) & ~held_frames(observed, t),
         np.cumsum(resets >= 0) - 1,
         resets,
         smoothed_states(plant, episode, first) if begin is None else begin,
@@ -163,18 +165,21 @@ def unobserved(
     )
 
 
-def held_frames(observed: Array) -> NDArray[np.bool_]:
-    """Which of each joint's samples were held, `(samples, 2 x joints)`."""
+def held_frames(observed: Array, t_s: Array) -> NDArray[np.bool_]:
+    """Which of each joint's samples at `t_s` [s] were held, `(samples, 2 x joints)`."""
     joints = observed.shape[1] // 2
-    return np.tile(np.stack([held(observed[:, [j, joints + j]]) for j in range(joints)], axis=1), 2)
+    return np.tile(
+        np.stack([held(observed[:, [j, joints + j]], t_s) for j in range(joints)], axis=1), 2
+    )
 
 
-def held(observed: Array) -> NDArray[np.bool_]:
+def held(observed: Array, t_s: Array) -> NDArray[np.bool_]:
     """Which samples repeat the one before it while the joint moves, `(samples,)`, of a joint's
     position and velocity `(samples, 2)`: frames that never arrived.
 
     A sensor coarser than its noise repeats values by itself, and a joint at rest without noise
-    does; neither is counted.
+    does; neither is counted: by its velocity the position must have moved by some steps of its
+    sensor.
     """
     seen = np.isfinite(observed).any(axis=0)
     known = observed[:, seen]
@@ -183,7 +188,10 @@ def held(observed: Array) -> NDArray[np.bool_]:
     if min((len(np.unique(c)) for c in known[fresh].T), default=0) < DISTINCT * fresh.sum():
         return np.zeros(len(known), np.bool_)
     if bool(np.isfinite(observed[:, 1]).any()):
-        return np.asarray(np.logical_not(fresh) & (observed[:, 1] != 0.0))
+        finest = finest_step(observed[:, 0])
+        travel = np.abs(observed[:, 1]) * np.diff(t_s, prepend=t_s[0])
+        moved = travel > STEPS * finest if finest else np.zeros(len(known), np.bool_)
+        return np.asarray(np.logical_not(fresh) & moved)
     runs: NDArray[np.int64] = np.cumsum(fresh)  # of one value each, counted from 1
     many = np.bincount(runs)
     short = (many > 1) & (many < AT_REST)
@@ -192,6 +200,15 @@ def held(observed: Array) -> NDArray[np.bool_]:
     caught_up = steps[:-1][short[1:]] > CATCHES_UP * steps[1:][short[1:]]
     lost = bool(len(caught_up) and caught_up.mean() > MOSTLY)
     return np.asarray(np.logical_not(fresh) & short[runs] & lost)
+
+
+def finest_step(values: Array) -> float:
+    """The smallest difference of two values, 0 where there is none: a sensor's step, if it has
+    one."""
+    distinct = np.unique(values[np.isfinite(values)])
+    gaps = np.diff(distinct)
+    gaps = gaps[gaps > ROUNDING * (distinct[-1] - distinct[0])] if len(distinct) > 1 else gaps
+    return float(gaps.min()) if len(gaps) else 0.0
 
 
 def seen_by(s: Series, late_s: Array) -> tuple[NDArray[np.int64], Array]:

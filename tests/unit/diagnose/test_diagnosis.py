@@ -81,8 +81,8 @@ def test_the_same_episodes_give_the_same_report(friction):
 
 
 def test_the_page_says_what_the_report_says(friction):
-    _, episodes, _, found = friction
-    text = report_page(found.document, figures(found, episodes))
+    _, _, _, found = friction
+    text = report_page(found.document, figures(found))
     assert "Coulomb friction" in sentence(found.document)
     assert "<svg" in text
     assert "http" not in text
@@ -221,7 +221,7 @@ def test_progress_is_told_from_the_start():
     plant, episodes, _ = recorded("A1", [], 5)
     told = []
     diagnose(plant, episodes, progress=lambda stage, part: told.append((stage, part)))
-    assert told[0][0] == "looking at the episodes"
+    assert told[0][0] == "looking for faults in the log"
     assert told[-1] == ("done", 1.0)
     assert all(0.0 <= part <= 1.0 for _, part in told)
 

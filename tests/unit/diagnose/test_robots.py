@@ -148,7 +148,7 @@ def test_the_corrected_model_is_an_artifact_that_predicts_the_same(late):
 
 
 def test_a_late_sensor_at_one_joint_is_found_beside_friction_at_another(late):
-    episodes, found = late
+    _, found = late
     assert {(e["effect"], e["joint"]) for e in found.document["effects"]} == {
         ("coulomb_friction", "shoulder"),
         ("sensor_delay", "elbow"),
@@ -159,7 +159,7 @@ def test_a_late_sensor_at_one_joint_is_found_beside_friction_at_another(late):
     assert delay == pytest.approx(LATE * PERIOD_S, rel=0.02)
     # what the drive was told before the log is in no log
     assert found.document["gap"]["beginnings"] == "left out"
-    assert "left out" in report_page(found.document, figures(found, episodes))
+    assert "left out" in report_page(found.document, figures(found))
 
 
 def test_what_a_late_sensor_shows_counts_for_the_window_in_which_it_happened(plant):

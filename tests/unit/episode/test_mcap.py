@@ -14,7 +14,7 @@ from mcap_ros2.decoder import DecoderFactory as Ros2Decoder
 
 from tests.support.made import T0_NS, arm_layout, episode_bytes, mcap_bytes, plant_document
 from trueup.episode.layout import Channel, Field, Layout
-from trueup.episode.mcap import read_episode
+from trueup.episode.mcap import read_episode, read_episode_stream
 from trueup.episode.role import Role
 from trueup.episode.writer import ROS2_DEFINITION, Encoding
 from trueup.errors import NotAnEpisode, RoleRefused, TooLarge
@@ -174,6 +174,32 @@ def test_a_missing_channel_is_a_column_of_nan_and_is_named():
     episode = read_episode(mcap_bytes(LAYOUT, OBSERVED, ISSUED), wider)
     assert episode.missing == ("vx",)
     assert np.isnan(episode.observations[:, -1]).all()
+
+
+def test_a_few_messages_that_say_nothing_are_left_out_and_named():
+    observed, stamps = OBSERVED.copy(), T0_NS + np.arange(len(OBSERVED)) * 10_000_000
+    observed[7, 0], observed[9, 1] = np.nan, np.inf
+    stamps[20] = stamps[19]
+    episode = read_episode(mcap_bytes(LAYOUT, observed, ISSUED, stamps_ns=stamps), LAYOUT)
+    kept = np.delete(np.arange(len(OBSERVED)), [7, 9, 20])
+    np.testing.assert_array_equal(episode.observations, OBSERVED[kept])
+    first, second = (c.name for c in LAYOUT.observations[:2])
+    assert [(str(o.reason), o.channel, o.messages) for o in episode.omissions] == [
+        ("not_finite", first, 1),
+        ("not_finite", second, 1),
+        ("repeated_stamp", None, 1),
+        ("repeated_stamp", None, 1),
+    ]
+    assert episode.omissions[0].from_s == pytest.approx(0.07, abs=1e-6)
+
+
+def test_observations_that_happened_before_their_stamps_are_read_so():
+    data = mcap_bytes(LAYOUT, OBSERVED, ISSUED)
+    plain = read_episode(data, LAYOUT)
+    late_s = 2.0 * plain.period_s
+    shifted = read_episode_stream(io.BytesIO(data), len(data), LAYOUT, late_s=late_s)
+    np.testing.assert_array_equal(shifted.observations, plain.observations[2:])
+    np.testing.assert_allclose(shifted.commands, plain.commands[:-2])
 
 
 def test_there_may_be_one_command_less_than_states():

@@ -1,0 +1,1 @@
+"""Doctor: what is wrong with a log, before anything is blamed on the machine."""

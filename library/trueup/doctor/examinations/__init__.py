@@ -1,0 +1,1 @@
+"""Examinations: each looks for some faults of a log, and returns what it finds."""
