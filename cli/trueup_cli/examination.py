@@ -79,9 +79,11 @@ def _read(file: Path, plant: Plant, late_s: float = 0.0) -> Episode:
 
 def mend(case: Examined, out: Path) -> list[Path]:
     """Writes the case with every mend applied, and what was done to which recording. The originals
-    stay as they are. Raises FileExistsError where the folder holds recordings."""
+    stay as they are. Raises NotAnEpisode where the folder holds recordings."""
     if out.exists() and any(out.glob("*.mcap")):
-        raise FileExistsError(f"{out} holds recordings already; name another folder")
+        raise NotAnEpisode(
+            f"{out} holds recordings already", hint="Name a folder without any.", rule="folder"
+        )
     out.mkdir(parents=True, exist_ok=True)
     for other in case.folder.iterdir():
         if other.is_dir():

@@ -11,18 +11,24 @@ import numpy as np
 from trueup.canonical import Json
 from trueup.collect.bounds import Recorded
 from trueup.cores import in_parallel
+from trueup.diagnose.by_prediction import (
+    Yardstick,
+    best_of_the_alike,
+    fallback,
+    predicts_worse,
+)
 from trueup.diagnose.data_quality import DataQuality, assess
 from trueup.diagnose.explain import alternative, bounds, estimates, parameter_table, shares
 from trueup.diagnose.explore import explore
 from trueup.diagnose.filtering import corrected
-from trueup.diagnose.final_refit import final_refit
+from trueup.diagnose.final_refit import FinalRefit, final_refit
 from trueup.diagnose.locate import locate
 from trueup.diagnose.measure import Gap, measure
 from trueup.diagnose.model_selection import Choice, agreeing, select
 from trueup.diagnose.next_experiment import Experiment, next_experiment
 from trueup.diagnose.noise import Noise
 from trueup.diagnose.problem_setup import Recordings
-from trueup.diagnose.report import report
+from trueup.diagnose.report import Served, report
 from trueup.diagnose.residual_noise import noise_level
 from trueup.diagnose.search import Search
 from trueup.diagnose.tasks import Solve, in_threads
@@ -143,17 +149,32 @@ def diagnose(
     adaptation, validation = recordings.adaptation, recordings.validation
     progress("looking at the episodes", 0.0)
     quality = assess(plant, adaptation)
-    search, quality = explore(recordings, quality, progress, solve)
+    explored = explore(recordings, quality, progress, solve)
+    search, quality = explored.search, explored.quality
     selection = _Selection(recordings, search)
-    choice, nominal, problem = selection.choice(), selection.nominal, search.problem
+    yardstick = Yardstick(recordings, quality, search)
+    choice = best_of_the_alike(selection.choice(), yardstick)
+    nominal, problem = selection.nominal, search.problem
     progress("measuring on held-out episodes", 0.0)
     refit = final_refit(recordings, problem, choice.winner)
     predictor = corrected(plant, quality, refit.answer.fit, refit.scheme, adaptation)
+    if yardstick.is_much_better(choice.winner, predictor):
+        refit = FinalRefit(choice.winner, problem.scheme, choice.winner.fit)
+        predictor = corrected(plant, quality, refit.answer.fit, refit.scheme, adaptation)
     refitted = corrected(plant, quality, search.base.fit, problem.scheme, adaptation)
     same = _with_the_same_numbers(nominal, recordings, quality, refit.scheme)
     noise = Noise(quality.noise, quality.correlation)
-    gap = measure(Nominal(plant), same, refitted, predictor, validation, noise, seed)
-    choice = agreeing(choice, gap)
+    measured = partial(measure, Nominal(plant), same, refitted)
+    gap = measured(predictor, validation, noise, seed)
+    choice, served = agreeing(choice, gap), Served.CORRECTED
+    if predicts_worse(gap):
+        least = min(gap.before, gap.same_numbers, gap.parameters_only)
+        choice, better = fallback(choice, yardstick, least)
+        refit = FinalRefit(choice.winner, problem.scheme, choice.winner.fit)
+        nearest = yardstick.predictor(choice.winner) if better else None
+        served = Served.CORRECTED if nearest is not None else Served.NOMINAL
+        predictor = nearest or Corrected.of_numbers(plant, plant.parameters)
+        gap = measured(predictor, validation, noise, seed)
     progress("what the data speak against", 0.0)
     excluded, unexcited = bounds(search, choice.winner, plant)
     experiment = next_experiment(plant, quality, search, choice, Recorded.of(plant, adaptation))
@@ -170,13 +191,17 @@ def diagnose(
         effects=estimates(minima, refit.other, problem.fitter, plant, share),
         alternatives=[alternative(plant, search, rival) for rival in choice.rivals],
         patch=changes,
-        parameters=parameter_table(plant, problem.fitter.directions, minima, refit.other),
+        parameters=parameter_table(plant, problem.fitter.directions, minima, refit.other)
+        if served is Served.CORRECTED
+        else {},
         excluded=excluded,
         unexcited=unexcited,
         where=locate(plant, search, choice.winner, nominal, adaptation, validation),
         experiment=experiment,
         episodes=episodes,
         findings=recordings.findings,
+        ramps_leave=explored.ramps_leave,
+        served=served,
         seed=seed,
     )
     progress("done", 1.0)

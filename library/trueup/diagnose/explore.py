@@ -8,7 +8,10 @@ first, the search is repeated with the new estimate.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
+
+import numpy as np
 
 from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.data_quality import DataQuality
@@ -26,17 +29,29 @@ from trueup.model.series import DECLARED, Scheme, refined
 Progress = Callable[[str, float], None]
 
 
+@dataclass(frozen=True)
+class Explored:
+    """The search under the scheme of integration that explains the episodes best; the quality of
+    the data, with the noise that its residuals show; and what the refitted nominal form leaves
+    where commands of undeclared hold are ramps, over what it leaves where they keep their values:
+    None where that was not compared."""
+
+    search: Search
+    quality: DataQuality
+    ramps_leave: float | None
+
+
 def explore(
     recordings: Recordings, quality: DataQuality, progress: Progress, solve: Solve = in_threads
-) -> tuple[Search, DataQuality]:
-    """The search under the scheme of integration that explains the episodes best, and the quality
-    of the data, with the noise that its residuals show."""
+) -> Explored:
+    """Search the compositions of effects that explain the episodes."""
     for _ in range(SEARCH.noise_looks):
-        search, better_known = _Exploration(recordings, quality, progress, solve).search()
+        exploration = _Exploration(recordings, quality, progress, solve)
+        search, better_known = exploration.search()
         if better_known is None:
             break
         quality = better_known
-    return search, quality
+    return Explored(search, quality, exploration.ramps_leave)
 
 
 class _Exploration:
@@ -48,6 +63,7 @@ class _Exploration:
         self.recordings, self.quality = recordings, quality
         self.criteria, self.strategy = recordings.criteria, recordings.strategy
         self.effort, self.progress, self.solve = recordings.strategy.effort, progress, solve
+        self.ramps_leave: float | None = None
 
     def search(self) -> tuple[Search, DataQuality | None]:
         """The best search; and where residuals show another noise, the quality with that."""
@@ -74,13 +90,26 @@ class _Exploration:
         return best, self._quality_by(best)
 
     def _schemes(self) -> list[Scheme]:
-        """The schemes of integration, the likelier first."""
+        """The schemes of integration, the likelier first; commands whose hold nobody declared as
+        the refitted nominal form explains the episodes best."""
         schemes = [refined(self.recordings.plant), DECLARED]
         if self.strategy.physical:
-            return schemes[:1]  # a machine has no step
-        if is_quiet(self.quality):
+            schemes = schemes[:1]  # a machine has no step
+        elif is_quiet(self.quality):
             schemes.reverse()  # a log without noise is a simulator's, made at the declared step
-        return schemes
+        ramped = self._is_ramped(schemes[0])
+        return [replace(scheme, ramped=ramped) for scheme in schemes]
+
+    def _is_ramped(self, scheme: Scheme) -> bool:
+        """Whether commands of undeclared hold are ramps: the nominal form must fit plainly better,
+        on most windows. Samples that are thinned lie too close for it to matter."""
+        held = Setup(self.recordings, self.quality, scheme)
+        if not self.recordings.plant.undeclared_holds or held.thinned_by > 1:
+            return False
+        _, keeps = held.problem(1)
+        _, rises = Setup(self.recordings, self.quality, replace(scheme, ramped=True)).problem(1)
+        self.ramps_leave = rises.total / max(keeps.total, 1e-300)
+        return is_plainly_better(rises, keeps)
 
     def _begin(self, scheme: Scheme, parts: int) -> Search:
         """A new search, which has the nominal form refitted and nothing else yet."""
@@ -191,6 +220,16 @@ class _Exploration:
 
     def _acts_everywhere(self, candidate: Candidate) -> bool:
         return self.strategy.robot and len(candidate.hypothesis.effects) > PAIR
+
+
+def is_plainly_better(one: Candidate, other: Candidate) -> bool:
+    """Whether a fit leaves less than another by a good part, and on most windows."""
+    if not one.total < SEARCH.plainly_better * other.total:
+        return False
+    costs = [np.concatenate([c.fit.costs, c.check.costs]) for c in (one, other)]
+    if len(costs[0]) != len(costs[1]):
+        return True
+    return bool(np.mean(costs[0] < costs[1]) > SEARCH.on_most)
 
 
 def is_quiet(quality: DataQuality) -> bool:

@@ -3,7 +3,7 @@ leaves no mark on its estimates."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,7 +38,7 @@ def final_refit(recordings: Recordings, problem: SearchProblem, best: Candidate)
         return FinalRefit(best, scheme, best.fit)
     finer = scheme
     if scheme.alpha and strategy.thorough:
-        finer = Scheme(scheme.alpha, SEARCH.finer_steps * scheme.parts)
+        finer = replace(scheme, parts=SEARCH.finer_steps * scheme.parts)
     shortens = not strategy.robot and not strategy.physical
     refits: list[Candidate] = []
     for part in SEARCH.shortened if shortens else SEARCH.shortened[:1]:

@@ -211,6 +211,14 @@ def measure(
     )
 
 
+def held_out_error(predictor: Predictor, episodes: Sequence[Episode]) -> float:
+    """Root mean square error of a predictor on held-out episodes, as a gap has it but for the
+    windows with which logs begin."""
+    plant = predictor.plant
+    windows = windows_of(plant, episodes, plant.horizon_s, beginnings=False)
+    return _root(squared_errors(predictor, windows, _motion(plant, episodes)))
+
+
 def closed_on(corrected: Predictor, episodes: Sequence[Episode], sigma: Array) -> float | None:
     """The part of the nominal model's gap that a predictor closes on further episodes; None where
     there was none above their noise."""

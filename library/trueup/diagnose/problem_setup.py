@@ -113,8 +113,14 @@ class Setup:
         adaptation, validation = self.recordings.adaptation, self.recordings.validation
         if not self.scheme.alpha:
             return adaptation, validation
-        every = thinning(self.quality, adaptation)
+        every = self.thinned_by
         return [thinned(e, every) for e in adaptation], [thinned(e, every) for e in validation]
+
+    @property
+    def thinned_by(self) -> int:
+        """How many samples become one: never where a command is a ramp between them."""
+        ramps = self.recordings.plant.ramps(ramped=self.scheme.ramped).any()
+        return 1 if ramps else thinning(self.quality, self.recordings.adaptation)
 
     def problem(self, parts: int) -> tuple[SearchProblem, Candidate]:
         """The search problem, and the nominal form refitted, on windows of which so many `parts`

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from enum import StrEnum
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from trueup.diagnose.next_experiment import Experiment
 from trueup.diagnose.search import Search
 from trueup.doctor.finding import Finding, documents
 from trueup.episode.episode import Episode
+from trueup.episode.layout import Hold
 from trueup.fit.rollout_fit import TWO_SIDED, RolloutFit
 from trueup.model.block import joint, kind
 from trueup.model.block import term as term_at
@@ -27,6 +29,13 @@ from trueup.model.plant import Plant
 SCHEMA = "trueup.diagnosis/1"
 LISTED = 25  # hypotheses in the evidence
 COMMAND_FILE = "next_experiment.csv"
+
+
+class Served(StrEnum):
+    """What the artifact of a diagnosis is."""
+
+    CORRECTED = "corrected"
+    NOMINAL = "nominal"  # nothing predicts held-out episodes better
 
 
 def report(
@@ -48,6 +57,8 @@ def report(
     experiment: Experiment | None,
     episodes: Sequence[Episode],
     findings: Sequence[Finding],
+    ramps_leave: float | None,
+    served: Served,
     seed: int,
 ) -> dict[str, Json]:
     """The report; `answer` is the choice's winner as it was fitted last, where the search's steps
@@ -98,14 +109,32 @@ def report(
                 c.name: float(quality.correlation[i])
                 for i, c in zip(plant.state_columns, plant.layout.observations, strict=True)
             },
+            "holds": _holds(plant, search, ramps_leave),
             "convergence": _convergence(answer, *choice.rivals),
             "uses_of_validation": len(search.candidates),
+            "served": str(served),
             "misfit": _finite(choice.winner.reduced_chi_square),
             "unexplained": choice.left,
             **({"not_simulated": _left_out(plant)} if plant.family == "mjcf" else {}),
             "seed": seed,
             "version": trueup.__version__,
         },
+    }
+
+
+def _holds(plant: Plant, search: Search, ramps_leave: float | None) -> Json:
+    """What each command does between its samples, whether that was declared, and else what the
+    refitted nominal form leaves with ramps over what it leaves with steps."""
+    ramps = plant.ramps(ramped=search.problem.scheme.ramped)
+    return {
+        c.name: {
+            "hold": str(Hold.FIRST_ORDER if ramp else Hold.ZERO_ORDER),
+            "declared": c.hold is not None,
+            "ramps_leave": _finite(ramps_leave)
+            if c.hold is None and ramps_leave is not None
+            else None,
+        }
+        for c, ramp in zip(plant.layout.commands, ramps, strict=True)
     }
 
 

@@ -1,8 +1,9 @@
 """Residual noise: the noise once more, from what a fitted composition leaves of the episodes.
 
-The motion hides much of a sensor's noise; what a model leaves has little motion in it. So once the
-search has a fair model, noise is looked at again, and where it is plainly other than it seemed, and
-a good part of what is left, the search begins again with what was found.
+The motion hides much of a sensor's noise, or a fast one is taken for it; what a model leaves has
+little motion in it. So once the search has a fair model, noise is looked at again, and where it is
+plainly other than it seemed, and a good part of what is left, the search begins again with what was
+found.
 """
 
 from __future__ import annotations
@@ -81,7 +82,10 @@ def quality_by_residuals(
     other = (ratio > DATA_QUALITY.noise_changed) | (
         np.abs(correlation - quality.correlation)[seen] > DATA_QUALITY.correlation_changed
     )
-    if not other.any() or _over(fits, candidate, noise) > DATA_QUALITY.mostly_noise:
+    # less is left than was taken for noise: a fast motion had been taken for it
+    below = candidate.reduced_chi_square < DATA_QUALITY.below_noise
+    less = below and bool((ratio < 1.0 / DATA_QUALITY.noise_changed).any())
+    if not less and (not other.any() or _over(fits, candidate, noise) > DATA_QUALITY.mostly_noise):
         return None
     return replace(
         quality,

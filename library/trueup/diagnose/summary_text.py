@@ -231,6 +231,11 @@ def warnings(document: Mapping[str, Any]) -> list[str]:
     )
     sentences = [*faults(document), *(push.format(when) for when in _pushed(document))]
     evidence, gap = document["evidence"], document["gap"]
+    if evidence.get("served") == "nominal":
+        sentences.append(
+            "No correction that was tried predicts the held-out recordings better than the nominal "
+            "model: the model that is served has its numbers."
+        )
     # an older report does not say what its clock was
     episodes = evidence["episodes"] if "timestep_s" in evidence else []
     late = [off for e in episodes if (off := off_step(e["period_s"], evidence["timestep_s"]))]
@@ -248,6 +253,13 @@ def warnings(document: Mapping[str, Any]) -> list[str]:
             f"({short(gap['parameters_only'])}, was {short(gap['before'])}): "
             "they bend to what the form lacks; do not use them without it."
         )
+    ramps = [name for name, h in evidence.get("holds", {}).items() if _found_to_be_ramp(h)]
+    if ramps:
+        sentences.append(
+            f"Between its samples {' and '.join(ramps)} is a ramp and no step: so the nominal form "
+            "explains much more. Declare it in plant.json "
+            '(`"hold": "first_order"`).'
+        )
     coloured = {
         channel: part for channel, part in evidence.get("noise_correlation", {}).items() if part
     }
@@ -264,6 +276,10 @@ def warnings(document: Mapping[str, Any]) -> list[str]:
             "cost is too rough there for a proof."
         )
     return sentences
+
+
+def _found_to_be_ramp(hold: Mapping[str, Any]) -> bool:
+    return bool(hold["hold"] == "first_order" and not hold["declared"])
 
 
 def _pushed(document: Mapping[str, Any]) -> list[str]:

@@ -50,6 +50,7 @@ def pack_tasks(problem: SearchProblem, tasks: Sequence[Task]) -> str:
     outline = {
         "alpha": problem.scheme.alpha,
         "parts": problem.scheme.parts,
+        "ramped": problem.scheme.ramped,
         "length_s": problem.fits.length_s,
         "noise": [packing.array(problem.fitter.sigma), packing.array(problem.fitter.correlation)],
         "base": packing.fit(problem.base),
@@ -64,7 +65,7 @@ def unpack_tasks(text: str) -> tuple[Outline, list[Task]]:
     outlined = message["outline"]
     sigma, correlation = (unpacking.array(at) for at in outlined["noise"])
     outline = Outline(
-        Scheme(outlined["alpha"], outlined["parts"]),
+        Scheme(outlined["alpha"], outlined["parts"], outlined["ramped"]),
         outlined["length_s"],
         sigma,
         correlation,

@@ -60,6 +60,9 @@ class DataQualityTuning:
         4.0, "times the squared error", "So much better must correlated noise fit the differences."
     )
     fewest_differences: int = number(200, "differences", "Fewer do not tell a correlation.")
+    below_noise: float = number(
+        0.8, "reduced chi-square", "A composition that leaves so little shows that noise is less."
+    )
     noise_changed: float = number(
         1.1, "times the standard deviation", "A quarter more power would be no noise any more."
     )
@@ -227,6 +230,12 @@ class SearchTuning:
     alias_rounds: int = number(
         2, "rounds", "In which aliases of the answer are tried: a better one may have another."
     )
+    plainly_better: float = number(
+        0.9,
+        "of the cost",
+        "Of the refitted nominal form: so much less it must leave where commands are ramps.",
+    )
+    on_most: float = number(0.75, "of the windows", "And it must leave less on so many of them.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,6 +271,15 @@ class SelectionTuning:
     )
     scraps: float = number(
         0.1, "of what was left", "A composition that leaves less was not found by accident."
+    )
+    most_measured: int = number(
+        4, "compositions", "Whose predictions are measured: each takes a filter and a rollout."
+    )
+    much_better: float = number(
+        0.9, "of the held-out error", "So much better an alternative predicts to be the answer."
+    )
+    no_better: float = number(
+        1.01, "of the held-out error", "An answer that predicts worse by more is none."
     )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.episode.layout import Field
+from trueup.episode.layout import Field, Hold
 from trueup.episode.omission import Omission, TopicOffset
 from trueup.episode.track import Track
 from trueup.errors import NotAnEpisode
@@ -58,6 +58,10 @@ def align(
     first = int(np.argmax(in_force >= 0))
     commands = _over_intervals(stamps[first:], command_stamps, issued.values, in_force[first:])
     stamps = stamps[first:]
+    for column, channel in enumerate(issued.channels):
+        if channel.hold is Hold.FIRST_ORDER:  # a ramp has a value of its own at each sample
+            apart = (command_stamps - stamps[0]).astype(np.float64)
+            commands[:, column] = np.interp(stamps - stamps[0], apart, issued.values[:, column])
     return Aligned(
         stamps,
         observed.values[first:],

@@ -14,13 +14,20 @@ class Field(StrEnum):
     EFFORT = "effort"
 
 
+class Hold(StrEnum):
+    """What a command does between its samples."""
+
+    ZERO_ORDER = "zero_order"  # it keeps its value until the next one
+    FIRST_ORDER = "first_order"  # it is a ramp, as a sampled analogue signal
+
+
 @dataclass(frozen=True, slots=True)
 class Channel:
     """One number per sample.
 
     `joint` is the JointState name, None for the first joint. `scale` is the declared reporting
     scale of an observation: that many units of it are 1 in the dimensionless error norm. `limits`
-    bound a command.
+    bound a command; `hold` is what it does between its samples, None where nobody declared it.
     """
 
     name: str
@@ -29,6 +36,7 @@ class Channel:
     joint: str | None = None
     scale: float = 1.0
     limits: tuple[float, float] | None = None
+    hold: Hold | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -141,7 +141,11 @@ class Corrected(Predictor):
         return {
             "parameters": dict(zip(names, self.values[: len(names)], strict=True)),
             "effects": acting,
-            "scheme": {"alpha": self.scheme.alpha, "parts": self.scheme.parts},
+            "scheme": {
+                "alpha": self.scheme.alpha,
+                "parts": self.scheme.parts,
+                **({"ramped": True} if self.scheme.ramped else {}),
+            },
             "gain": [list(row) for row in self.gain],
             "nearest": self.known.nearest if self.known else None,
         }
@@ -172,7 +176,9 @@ class Corrected(Predictor):
             values[[row for t in hypothesis.effects for row in plant.block.rows(t)]]
         ).all():
             raise ValueError("a parameter of an acting effect is not finite")
-        scheme = Scheme(float(given["scheme"]["alpha"]), int(given["scheme"]["parts"]))
+        declared = given["scheme"]
+        ramped = bool(declared.get("ramped", False))  # an older model says nothing
+        scheme = Scheme(float(declared["alpha"]), int(declared["parts"]), ramped)
         rows = tuple(tuple(float(x) for x in row) for row in given["gain"])
         if {len(row) for row in rows} - {8 * len(plant.joints)}:
             raise ValueError("a gain has eight numbers of each joint for each sample")

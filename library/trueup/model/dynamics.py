@@ -331,7 +331,7 @@ class CompiledTree(Dynamics):
                 p, off, self.form.block.nominal, TREE_FORM, self.form.tree, self.form.sizes, 0.0,
                 np.ones(joints), 0.0, t,
                 np.ascontiguousarray(h_s.reshape(-1)), np.ascontiguousarray(runs), issued,
-                np.zeros_like(issued), resets,
+                np.zeros_like(issued), np.zeros_like(issued), resets,
                 np.repeat(initial[:, :, None], BLOCK, axis=2), 0, False,
                 np.zeros((1, joints, 4, 2)), observed, out,
             )  # fmt: skip

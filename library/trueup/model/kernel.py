@@ -94,9 +94,10 @@ def kernel() -> Callable[..., None]:
     p `(rows, BLOCK)`; on `(effects, joints)`; first the row of the first joint's effects; family
     its number, -1 for a tree; tree `(joints, TREE)`; sizes `(joints,)` the inertia against which an
     effect's forces are measured; u_scale `(joints,)`; t_s, h_s, steps, resets (the window that
-    starts at a sample, or -1) `(samples,)`; issued and its integral up to each sample `(samples,
-    joints)`; init `(windows, 2 x joints, BLOCK)`; gain `(beginning, joints, 4, 2)`; observed
-    `(samples, 2 x joints)`; writes out `(samples, 2 x joints, BLOCK)`.
+    starts at a sample, or -1) `(samples,)`; issued, the mean command until the next sample, its
+    rise meanwhile and its integral up to each sample `(samples, joints)`; init `(windows, 2 x
+    joints, BLOCK)`; gain `(beginning, joints, 4, 2)`; observed `(samples, 2 x joints)`; writes out
+    `(samples, 2 x joints, BLOCK)`.
     """
     return _compiled(
         ",".join(
@@ -116,7 +117,7 @@ def _compiled(made_of: str) -> Callable[..., None]:
 
     @njit(cache=True, nogil=True, error_model="numpy")
     def run(  # type: ignore[no-untyped-def]
-        p, on, first, family, tree, sizes, alpha, u_scale, period, t_s, h_s, steps, issued,
+        p, on, first, family, tree, sizes, alpha, u_scale, period, t_s, h_s, steps, issued, rise,
         integral, resets, init, starts, is_filter, gain,
         observed, out,
     ):  # fmt: skip
@@ -175,7 +176,7 @@ def _compiled(made_of: str) -> Callable[..., None]:
                     common[H, lane] = h_s[i]
                 for j in range(n):
                     for lane in range(BLOCK):
-                        u[j, lane] = issued[i, j]
+                        u[j, lane] = issued[i, j] + rise[i, j] * ((step + 0.5) / steps[i] - 0.5)
                     if delayed:
                         begins, ends = t_s[i] + step * h_s[i], t_s[i] + (step + 1) * h_s[i]
                         send_late(j, begins, ends, h_s[i], t_s, issued, integral, signals, sent)

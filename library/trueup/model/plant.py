@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json, digest_of
-from trueup.episode.layout import Channel, Field, Layout
+from trueup.episode.layout import Channel, Field, Hold, Layout
 from trueup.errors import BadPlant
 from trueup.model.block import Block, joint, kind
 from trueup.model.dynamics import (
@@ -196,10 +196,36 @@ class Plant:
     def applied(self, issued: Array) -> Array:
         """What the joints get of issued commands `(…, commands)` after the declared limits, `(…,
         joints)`."""
-        limited = np.clip(issued, *self.limits)
+        return self.at_joints(np.clip(issued, *self.limits))
+
+    def at_joints(self, commands: Array) -> Array:
+        """Commands `(…, commands)` by joint `(…, joints)`, 0 where it has none."""
         if len(self.joints) == 1:
-            return limited
-        return np.where(self.command_columns >= 0, limited[..., self.command_columns], 0.0)
+            return commands
+        return np.where(self.command_columns >= 0, commands[..., self.command_columns], 0.0)
+
+    @cached_property
+    def undeclared_holds(self) -> bool:
+        """Whether nobody declared what some command does between its samples."""
+        return any(c.hold is None for c in self.layout.commands)
+
+    def ramps(self, *, ramped: bool) -> NDArray[np.bool_]:
+        """Which commands are ramps between their samples, `(commands,)`: those that are declared
+        so, and with `ramped` those of which nobody declared anything."""
+        return np.array(
+            [
+                c.hold is Hold.FIRST_ORDER or (ramped and c.hold is None)
+                for c in self.layout.commands
+            ],
+            np.bool_,
+        )
+
+    def over_intervals(self, commands: Array, *, ramped: bool = False) -> tuple[Array, Array]:
+        """The mean of commands `(samples, commands)` from each sample to the next, and by how much
+        they rise meanwhile: nothing, where a command keeps its value."""
+        rise = np.diff(commands, axis=0, append=commands[-1:])
+        rise[:, ~self.ramps(ramped=ramped)] = 0.0
+        return commands + rise / 2.0, rise
 
     def update(
         self,
@@ -357,9 +383,12 @@ def _layout(root: Reader) -> Layout:
 
 
 def _channel(reader: Reader, field: Field, *, command: bool) -> Channel:
-    reader.no_more("name", "unit", "joint", "field", "limits" if command else "scale")
+    own = ("limits", "hold") if command else ("scale",)
+    reader.no_more("name", "unit", "joint", "field", *own)
     chosen = Field(reader.choice("field", list(Field), default=field))
     joint = reader.text("joint", "") or None
     limits = reader.interval("limits") if command else None
     scale = 1.0 if command else reader.number("scale", above=0.0, default=1.0)
-    return Channel(reader.text("name"), reader.text("unit", ""), chosen, joint, scale, limits)
+    declared = command and "hold" in reader.value
+    hold = Hold(reader.choice("hold", list(Hold))) if declared else None
+    return Channel(reader.text("name"), reader.text("unit", ""), chosen, joint, scale, limits, hold)

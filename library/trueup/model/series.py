@@ -21,6 +21,9 @@ from trueup.model.windows import intervals, starts_every
 Array = NDArray[np.float64]
 DISTINCT = 0.9  # of the samples have a value of their own where noise is finer than no lattice
 FINE_S = 0.0125  # there the error of a 1 Hz motion is 3e-4
+FINE_RAD = 0.25  # of an oscillation: there the error of its frequency is 3e-3
+MOST_PARTS = 4  # of a declared step: a faster oscillation is not seen at that rate
+NEAR_S = 1e-6  # a step in which no mode turns by more than a small angle
 # times the step after it: the one that follows a lost frame, which a joint that stuck does not make
 CATCHES_UP = 1.5
 MOSTLY = 0.4  # of the short runs
@@ -31,25 +34,31 @@ AT_REST = 6  # equal positions in a row are a joint at rest, not frames lost one
 
 @dataclass(frozen=True, slots=True)
 class Scheme:
-    """How the dynamics are integrated: the declared step, or its symmetric form on `parts` of
-    it."""
+    """How the dynamics are integrated: the declared step, or its symmetric form on `parts` of it;
+    and whether commands whose hold nobody declared are ramps between their samples."""
 
     alpha: float
     parts: int
+    ramped: bool = False
 
 
 DECLARED = Scheme(0.0, 1)
 
 
 def refined(plant: Plant) -> Scheme:
-    """The symmetric scheme, on parts of the declared step no longer than FINE_S."""
-    return Scheme(0.5, max(1, int(np.ceil(plant.timestep_s / FINE_S - 1e-9))))
+    """The symmetric scheme, on parts of the declared step no longer than FINE_S, and short against
+    the nominal model's fastest oscillation."""
+    modes = np.linalg.eigvals(plant.dynamics.transition(np.array(plant.parameters), NEAR_S))
+    fastest = float(np.abs(np.angle(modes)).max()) / NEAR_S  # [rad/s]
+    by_mode = min(np.ceil(plant.timestep_s * fastest / FINE_RAD - 1e-9), MOST_PARTS)
+    return Scheme(0.5, int(max(1, np.ceil(plant.timestep_s / FINE_S - 1e-9), by_mode)))
 
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """One episode for the kernel. Arrays over its samples; `issued` and its `integral` `(samples,
-    joints)`; `observed` `(samples, 2 x joints)` are positions and velocities, `usable` what counts.
+    """One episode for the kernel. Arrays over its samples; `issued`, the mean command until the
+    next sample, its `rise` meanwhile and its `integral` `(samples, joints)`; `observed` `(samples,
+    2 x joints)` are positions and velocities, `usable` what counts.
 
     `window_of` is the window to which a sample belongs, `resets` the window that starts at it or
     -1; `begin` `(windows, 2 x joints)` are first guesses of the windows' starting states,
@@ -63,6 +72,7 @@ class Series:
     h_s: Array
     steps: NDArray[np.int64]
     issued: Array
+    rise: Array
     integral: Array
     observed: Array
     usable: NDArray[np.bool_]
@@ -102,7 +112,11 @@ def whole(
     observed = positions_and_velocities(plant, episode)
     resets = np.full(len(t), -1)
     resets[first] = np.arange(len(first))
-    issued = np.ascontiguousarray(plant.applied(episode.commands))
+    limited = np.clip(episode.commands, *plant.limits)
+    issued, rise = (
+        np.ascontiguousarray(plant.at_joints(x))
+        for x in plant.over_intervals(limited, ramped=scheme.ramped)
+    )
     return Series(
         episode.digest,
         scheme,
@@ -110,6 +124,7 @@ def whole(
         h / scheme.parts,
         steps * scheme.parts,
         issued,
+        rise,
         integral_of(issued, t),
         np.nan_to_num(observed),
         np.isfinite(observed) & ~held_frames(observed, t),
@@ -123,7 +138,8 @@ def whole(
 
 
 def integral_of(issued: Array, t_s: Array) -> Array:
-    """Integral of a held command up to each sample, `(samples, joints)`."""
+    """Integral of a command, by its mean over each interval, up to each sample, `(samples,
+    joints)`."""
     return np.concatenate(
         [np.zeros_like(issued[:1]), np.cumsum(issued[:-1] * np.diff(t_s)[:, None], axis=0)]
     )
@@ -153,6 +169,7 @@ def unobserved(
         h_s=np.full(n, period_s / scheme.parts),
         steps=steps,
         issued=np.ascontiguousarray(command),
+        rise=np.zeros_like(command),
         integral=integral_of(command, t_s),
         observed=zeros,
         usable=zeros == 0.0,
@@ -256,7 +273,7 @@ def roll(
         kernel()(
             np.ascontiguousarray(p[:, some]), on, form.block.nominal, form.family, form.tree,
             form.sizes, s.scheme.alpha, s.u_scale,
-            s.period_s, s.t_s, s.h_s, s.steps, s.issued, s.integral, s.resets,
+            s.period_s, s.t_s, s.h_s, s.steps, s.issued, s.rise, s.integral, s.resets,
             np.ascontiguousarray(init[:, :, some]),
             0 if first else min(starts, BLOCK - 1), gain is not None, followed, observed, part,
         )  # fmt: skip

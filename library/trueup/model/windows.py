@@ -77,7 +77,7 @@ def cut(
         first,
         lengths,
         past_states(plant, episode, first),
-        episode.commands[rows],
+        plant.over_intervals(episode.commands)[0][rows],
         h_s[rows],
         np.where(runs, steps[rows], 0),
     )

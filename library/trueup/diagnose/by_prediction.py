@@ -1,0 +1,102 @@
+"""By prediction: the choice held to the yardstick that the report shows, the error of predictions
+of held-out episodes that start from a filter.
+
+A search fits with free starts of windows, which may hide in them what a prediction has to foresee.
+So of compositions that the evidence does not tell apart the one that predicts best is the answer,
+and what predicts worse than the nominal model or its refitted form is no answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trueup.cores import in_parallel
+from trueup.diagnose.candidate import Candidate
+from trueup.diagnose.data_quality import DataQuality
+from trueup.diagnose.filtering import corrected
+from trueup.diagnose.measure import Gap, held_out_error
+from trueup.diagnose.model_selection import Choice, Conclusion
+from trueup.diagnose.problem_setup import Recordings
+from trueup.diagnose.search import Search
+from trueup.diagnose.tuning import SELECTION
+from trueup.model.corrected import Corrected
+from trueup.model.predictor import Predictor
+
+
+@dataclass(frozen=True)
+class Yardstick:
+    """What turns candidates of a search into predictors, and measures them."""
+
+    recordings: Recordings
+    quality: DataQuality
+    search: Search
+
+    def predictor(self, candidate: Candidate) -> Corrected | None:
+        """The candidate's predictor; None where its numbers are so far off that it has no
+        filter."""
+        try:
+            return corrected(
+                self.recordings.plant,
+                self.quality,
+                candidate.fit,
+                self.search.problem.scheme,
+                self.recordings.adaptation,
+            )
+        except np.linalg.LinAlgError:
+            return None
+
+    def error(self, candidate: Candidate) -> float:
+        """Root mean square error of the candidate's predictions of held-out episodes."""
+        predictor = self.predictor(candidate)
+        return self.of(predictor) if predictor is not None else float("inf")
+
+    def of(self, predictor: Predictor) -> float:
+        """The same of a predictor."""
+        return held_out_error(predictor, self.recordings.validation)
+
+    def is_much_better(self, candidate: Candidate, predictor: Predictor) -> bool:
+        """Whether a candidate predicts much better than a predictor."""
+        return self.error(candidate) < SELECTION.much_better * self.of(predictor)
+
+    def errors(self, candidates: Sequence[Candidate]) -> list[float]:
+        """The errors of candidates."""
+        return list(in_parallel(self.error, candidates))
+
+
+def best_of_the_alike(choice: Choice, yardstick: Yardstick) -> Choice:
+    """The choice, its answer exchanged for that alternative which predicts much better."""
+    alike = [choice.winner, *choice.rivals[: SELECTION.most_measured]]
+    if len(alike) == 1:
+        return choice
+    errors = yardstick.errors(alike)
+    best = int(np.argmin(errors))
+    if not errors[best] < SELECTION.much_better * errors[0]:
+        return choice
+    others = (choice.winner, *(r for r in choice.rivals if r is not alike[best]))
+    return replace(choice, winner=alike[best], rivals=others)
+
+
+def predicts_worse(gap: Gap) -> bool:
+    """Whether the answer predicts worse than the nominal model, or than its refitted form."""
+    return gap.after > SELECTION.no_better * min(gap.before, gap.same_numbers, gap.parameters_only)
+
+
+def fallback(choice: Choice, yardstick: Yardstick, least: float) -> tuple[Choice, bool]:
+    """The candidate that predicts best where the answer predicts worse than the nominal model or
+    its refitted form, whose smaller error is `least`; and whether it predicts better than that.
+
+    It is no answer: it is the nearest to one.
+    """
+    search = yardstick.search
+    sound = sorted((c for c in search if np.isfinite(c.total)), key=lambda c: c.total)
+    some = [c for c in sound if c.hypothesis != choice.winner.hypothesis]
+    nearest = [*some[: SELECTION.most_measured], search.base]
+    errors = yardstick.errors(nearest)
+    best = int(np.argmin(errors))
+    return (
+        replace(choice, verdict=Conclusion.UNKNOWN, winner=nearest[best], rivals=()),
+        errors[best] < SELECTION.no_better * least,
+    )
