@@ -23,6 +23,7 @@ from trueup.diagnose.problem_setup import Recordings
 from trueup.diagnose.search import Search
 from trueup.diagnose.tuning import SELECTION
 from trueup.model.corrected import Corrected
+from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor
 
 
@@ -64,6 +65,19 @@ class Yardstick:
     def errors(self, candidates: Sequence[Candidate]) -> list[float]:
         """The errors of candidates."""
         return list(in_parallel(self.error, candidates))
+
+
+def nominal_predictor(plant: Plant, same_numbers: Predictor, yardstick: Yardstick) -> Corrected:
+    """The nominal numbers as a corrected model: started from a filter, or from what was observed
+    last, whichever predicts better."""
+    observed = np.zeros((len(plant.joints), 4, 2))  # of position, velocity, disturbance, lag
+    observed[:, 0, 0] = observed[:, 1, 1] = 1.0
+    from_observed = replace(
+        Corrected.of_numbers(plant, plant.parameters), gain=(tuple(observed.ravel().tolist()),)
+    )
+    if not isinstance(same_numbers, Corrected):
+        return from_observed
+    return min((same_numbers, from_observed), key=yardstick.of)
 
 
 def best_of_the_alike(choice: Choice, yardstick: Yardstick) -> Choice:

@@ -15,6 +15,7 @@ from trueup.diagnose.by_prediction import (
     Yardstick,
     best_of_the_alike,
     fallback,
+    nominal_predictor,
     predicts_worse,
 )
 from trueup.diagnose.data_quality import DataQuality, assess
@@ -173,7 +174,7 @@ def diagnose(
         refit = FinalRefit(choice.winner, problem.scheme, choice.winner.fit)
         nearest = yardstick.predictor(choice.winner) if better else None
         served = Served.CORRECTED if nearest is not None else Served.NOMINAL
-        predictor = nearest or Corrected.of_numbers(plant, plant.parameters)
+        predictor = nearest or nominal_predictor(plant, same, yardstick)
         gap = measured(predictor, validation, noise, seed)
     progress("what the data speak against", 0.0)
     excluded, unexcited = bounds(search, choice.winner, plant)

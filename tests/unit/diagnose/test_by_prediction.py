@@ -1,0 +1,93 @@
+"""No model is served that predicts held-out recordings worse than the one it would replace."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from tests.support.simulated import recorded
+from trueup.diagnose.by_prediction import best_of_the_alike, fallback, predicts_worse
+from trueup.diagnose.diagnosis import diagnose
+from trueup.diagnose.measure import Gap
+from trueup.diagnose.model_selection import Choice, Conclusion
+from trueup.diagnose.summary_text import sentence, warnings
+from trueup.episode.role import Role
+from trueup.model.hypothesis import Hypothesis
+from trueup.model.predictor import Nominal
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """A candidate with the error that its predictions have."""
+
+    name: str
+    error: float
+    total: float = 1.0
+
+    @property
+    def hypothesis(self):
+        return Hypothesis((self.name,))
+
+
+class Errors:
+    """A yardstick that knows errors."""
+
+    def __init__(self, candidates=(), base=None):
+        self.search = type("Search", (), {"base": base, "__iter__": lambda _: iter(candidates)})()
+
+    def errors(self, candidates):
+        return [c.error for c in candidates]
+
+
+def gap(after, before=0.4, same=0.4, numbers=0.2):
+    return Gap(1.0, before, same, numbers, after, 0.01, 0.5, None, {})
+
+
+def test_of_compositions_that_are_alike_the_one_that_predicts_much_better_is_the_answer():
+    first, second, third = Made("a", 0.5), Made("b", 0.2), Made("c", 0.3)
+    choice = Choice(Conclusion.EFFECT, first, (second, third), 0.1)
+    chosen = best_of_the_alike(choice, Errors())
+    assert chosen.winner is second
+    assert chosen.rivals == (first, third)
+    assert best_of_the_alike(replace(choice, winner=Made("a", 0.21)), Errors()).winner.name == "a"
+
+
+@pytest.mark.parametrize(
+    ("after", "worse"), [(0.19, False), (0.2, False), (0.21, True), (0.5, True)]
+)
+def test_an_answer_must_predict_no_worse_than_the_refitted_nominal_form(after, worse):
+    assert predicts_worse(gap(after)) is worse
+    assert predicts_worse(gap(after, numbers=0.9)) is (after > 0.4)
+
+
+def test_the_nearest_is_what_predicts_best_and_is_no_answer():
+    base = Made("nothing", 0.3)
+    tried = [Made("a", 0.9, 1.0), Made("b", 0.1, 2.0), Made("c", 0.4, 3.0)]
+    choice = Choice(Conclusion.EFFECT, tried[0], (), 0.1)
+    nearest, better = fallback(choice, Errors(tried, base), 0.3)
+    assert (nearest.verdict, nearest.winner, better) == (Conclusion.UNKNOWN, tried[1], True)
+    nearest, better = fallback(choice, Errors(tried[:1], base), 0.2)
+    assert (nearest.winner, better) == (base, False)
+
+
+def test_a_machine_that_changed_after_it_was_fitted_keeps_its_nominal_model():
+    """The recordings that are fitted are of a joint that rubs, those held out of one without: what
+    fits the first predicts the others worse than the nominal model does."""
+    plant, rubbing, _ = recorded("A1", ["coulomb_friction"], 11, shifted=False)
+    _, free, _ = recorded("A1", [], 11, shifted=False)
+    episodes = [e for e in rubbing if e.role is Role.ADAPTATION]
+    episodes += [e for e in free if e.role is Role.VALIDATION]
+    diagnosis = diagnose(plant, episodes)
+    report = diagnosis.document
+    assert report["verdict"] in ("unknown_effect", "no_gap")
+    assert report["evidence"]["served"] == "nominal"
+    assert report["effects"] == []
+    assert report["parameters"] == {}
+    assert report["gap"]["after"] <= 1.01 * report["gap"]["before"]
+    assert any("better than the nominal model" in w for w in warnings(report))
+    assert sentence(report)
+    states, command = np.array([[0.1, -0.2]]), np.array([[0.3]])
+    np.testing.assert_allclose(
+        diagnosis.predictor.predict_batch(states, command),
+        Nominal(plant).predict_batch(states, command),
+    )
