@@ -21,6 +21,7 @@ ALL = (
     "scaled",
     "fan_out",
     "diagnosis",
+    "spoilt",
     "robots",
     "drift",
     "excitation",

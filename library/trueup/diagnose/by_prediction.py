@@ -55,7 +55,7 @@ class Yardstick:
         return self.of(predictor) if predictor is not None else float("inf")
 
     def of(self, predictor: Predictor) -> float:
-        """The same of a predictor."""
+        """Root mean square error of a predictor's predictions of held-out episodes."""
         return held_out_error(predictor, self.recordings.validation)
 
     def is_much_better(self, candidate: Candidate, predictor: Predictor) -> bool:
@@ -110,7 +110,9 @@ def fallback(choice: Choice, yardstick: Yardstick, least: float) -> tuple[Choice
     nearest = [*some[: SELECTION.most_measured], search.base]
     errors = yardstick.errors(nearest)
     best = int(np.argmin(errors))
+    chosen, base = nearest[best], search.base
+    left = max(chosen.reduced_chi_square - 1.0, 0.0) / max(base.reduced_chi_square - 1.0, 1e-12)
     return (
-        replace(choice, verdict=Conclusion.UNKNOWN, winner=nearest[best], rivals=()),
+        replace(choice, verdict=Conclusion.UNKNOWN, winner=chosen, rivals=(), left=left),
         errors[best] < SELECTION.no_better * least,
     )

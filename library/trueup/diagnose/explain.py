@@ -193,13 +193,15 @@ def parameter_table(
     plant: Plant, directions: Directions, minima: Sequence[RolloutFit], other: RolloutFit
 ) -> dict[str, Json]:
     """Nominal and fitted parameters with 95 % intervals; of a tree those that its data determine
-    one by one."""
+    one by one, and those that were fitted by themselves."""
     fit = minima[0]
     limits = _limits(plant.dynamics, plant, directions, minima, other)
+    fitted = directions.determined.copy()
+    fitted[directions.alone[directions.alone >= 0]] = True
     return {
         name: {"nominal": nominal, "value": float(value), "ci95": [float(low), float(high)]}
         for (name, nominal), value, (low, high), determined in zip(
-            plant.nominal.items(), fit.values, limits, directions.determined, strict=False
+            plant.nominal.items(), fit.values, limits, fitted, strict=False
         )
         if determined
     }
@@ -228,7 +230,11 @@ def _limits_of_tree(
 ) -> list[tuple[float, float]]:
     widths = np.array([_tree_widths(plant, directions, f, other) for f in minima])
     values = np.array([f.values[: len(plant.parameters)] for f in minima])
-    return list(zip((values - widths).min(axis=0), (values + widths).max(axis=0), strict=True))
+    least = np.full(len(plant.parameters), -np.inf)  # damping and friction are not negative
+    alone = directions.alone >= 0
+    least[directions.alone[alone]] = directions.low[alone]
+    low = np.maximum((values - widths).min(axis=0), least)
+    return list(zip(low, (values + widths).max(axis=0), strict=True))
 
 
 def _tree_widths(plant: Plant, directions: Directions, fit: RolloutFit, other: RolloutFit) -> Array:

@@ -80,6 +80,7 @@ def report(
         "findings": documents(findings),
         "verdict": str(verdict),
         "effects": list(named),
+        "nearest": _nearest(plant, choice) if choice.verdict is Conclusion.UNKNOWN else None,
         "indistinguishable": [
             [*(named_term(plant, t) for t in a), *extra]
             for a in indistinguishable(choice, len(plant.joints))
@@ -119,6 +120,15 @@ def report(
             "seed": seed,
             "version": trueup.__version__,
         },
+    }
+
+
+def _nearest(plant: Plant, choice: Choice) -> Json:
+    """The composition that comes nearest to the recordings where none explains them, and the part
+    of the refitted nominal form's gap that it leaves."""
+    return {
+        "effects": [named_term(plant, t) for t in choice.winner.hypothesis.effects],
+        "leaves": _finite(choice.left),
     }
 
 

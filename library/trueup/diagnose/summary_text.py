@@ -11,6 +11,7 @@ from trueup.collect.step_warning import off_step
 from trueup.diagnose.tuning import EVIDENCE
 
 PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
+MOST_NUMBERS = 3  # that a sentence names
 DIGITS = 2  # of an uncertainty that are worth writing
 SAME_NUMBERS, NEW_NUMBERS, NEAREST = "integration and start", "new numbers", "nearest composition"
 UNEXPLAINED, NOISE = "not explained", "noise floor"
@@ -42,7 +43,7 @@ def sentence(document: Mapping[str, Any]) -> str:
         case "no_gap":
             text = NO_GAP if gap["closed"] is None else _same_numbers(document)
         case _:
-            text = UNKNOWN
+            text = UNKNOWN + _nearest_words(document)
     if gap["closed"] is not None:
         text += (
             f"; held-out error falls from {short(gap['before'])} to {short(gap['after'])}, "
@@ -114,9 +115,37 @@ def _new_numbers(document: Mapping[str, Any]) -> str:
     else:
         part = "most of the gap" if left else "the gap"
     text = f"New numbers in the nominal form explain {part}{_and_others(shares, SAME_NUMBERS)}"
+    text += _moved(document)
     if left:
         return f"{text}; no effect of the catalogue takes a material part of what remains"
     return f"{text}; no effect is missing"
+
+
+def _moved(document: Mapping[str, Any]) -> str:
+    """The numbers that certainly moved, those that moved most by their own size first; empty where
+    none did."""
+    certain = [
+        (abs(p["value"] - p["nominal"]) / max(abs(p["nominal"]), 1e-12), name, p)
+        for name, p in document.get("parameters", {}).items()
+        if p["nominal"] and not p["ci95"][0] <= p["nominal"] <= p["ci95"][1]
+    ]
+    words = [
+        f"{name} {short(p['nominal'])} to "
+        f"{plus_minus(p['value'], (p['ci95'][1] - p['ci95'][0]) / 2.0)}"
+        for _, name, p in sorted(certain, key=lambda c: -c[0])[:MOST_NUMBERS]
+    ]
+    return f": {', '.join(words)}" if words else ""
+
+
+def _nearest_words(document: Mapping[str, Any]) -> str:
+    """What comes nearest to an unknown effect, and what it leaves; an older report does not say."""
+    nearest = document.get("nearest")
+    if not nearest or not nearest["effects"] or nearest["leaves"] is None:
+        return ""
+    return (
+        f". The nearest is {composition(nearest['effects'])}, which leaves "
+        f"{percent(min(nearest['leaves'], 1.0))} of what new numbers leave"
+    )
 
 
 def _effects(document: Mapping[str, Any]) -> str:

@@ -23,6 +23,7 @@ class Made:
     name: str
     error: float
     total: float = 1.0
+    reduced_chi_square: float = 5.0
 
     @property
     def hypothesis(self):

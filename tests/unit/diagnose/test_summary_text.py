@@ -237,3 +237,62 @@ def test_a_report_of_before_says_nothing_of_its_clock():
 def test_recordings_of_one_loop_are_told_alike():
     assert off_step(0.005303, 0.005) == off_step(0.005326, 0.005)
     assert "every 120 ms" in off_step(0.1203, 0.1)
+
+
+def test_the_sentence_names_the_numbers_that_certainly_moved():
+    document = report(verdict="parameters_only", same=0.21, numbers=0.013) | {
+        "parameters": {
+            "frictionloss(elbow)": {"nominal": 0.078, "value": 0.168, "ci95": [0.109, 0.227]},
+            "damping(elbow)": {"nominal": 0.001, "value": 0.0, "ci95": [0.0, 0.004]},
+            "b": {"nominal": 1.0, "value": 1.25, "ci95": [1.24, 1.26]},
+        }
+    }
+    text = sentence(document)
+    assert "frictionloss(elbow) 0.078 to 0.168 ± 0.059, b 1 to 1.250 ± 0.010" in text
+    assert "damping" not in text
+    assert text.endswith(
+        "no effect is missing; held-out error falls from 0.21 to 0.013, the noise floor is 0.012."
+    )
+
+
+def test_an_unknown_effect_says_what_comes_nearest():
+    document = report(verdict="unknown_effect", after=0.1) | {
+        "nearest": {"effects": ["backlash", "constant_force"], "leaves": 0.719}
+    }
+    assert (
+        "The nearest is backlash with constant force, which leaves 72 % of what new numbers leave"
+        in sentence(document)
+    )
+    assert "nearest" not in sentence(report(verdict="unknown_effect", after=0.1))
+
+
+def finding(fault="command_sign", **more):
+    return {
+        "finding": fault,
+        "channel": "u",
+        "joint": None,
+        "episodes": ["0" * 64],
+        "evidence": "the command drives the other way",
+        "mend": "Change the sign of u.",
+        "applied": False,
+        **more,
+    }
+
+
+def test_a_fault_that_misleads_comes_before_the_answer():
+    document = recorded(0.005) | {"findings": [finding(), finding("gap", applied=True)]}
+    assert sentence(document).startswith("Mend the log first: command sign of u. As recorded: ")
+    assert "Mend" not in sentence(recorded(0.005) | {"findings": [finding("gap", applied=True)]})
+
+
+def test_faults_of_a_kind_are_told_once():
+    gaps = [finding("gap", channel=None, evidence="no sample for 1 s", mend="Cut.", applied=True)]
+    told = warnings(recorded(0.005) | {"findings": [finding(), *3 * gaps]})
+    assert told[0] == ("Command sign of u: the command drives the other way. Change the sign of u.")
+    assert told[1] == "Gap: no sample for 1 s; 2 more like it. Done: cut."
+
+
+def test_what_is_served_is_told_where_nothing_is_better_than_the_nominal_model():
+    document = recorded(0.005)
+    document["evidence"]["served"] = "nominal"
+    assert any("has its numbers" in w for w in warnings(document))
