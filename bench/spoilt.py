@@ -87,6 +87,6 @@ def _spoils(plant: Plant) -> dict[str, tuple[Fault, Spoil]]:
         if not first.startswith("rad"):
             for what in ("positions in degrees", "velocity in rpm", "velocity in degrees"):
                 spoils.pop(what)
-    if len(plant.joints) == 2:  # noqa: PLR2004  (a pair to exchange)
+    if len(plant.joints) == 2:
         spoils |= TWO_JOINTS
     return spoils

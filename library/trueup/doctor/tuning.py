@@ -184,9 +184,12 @@ class SampleTuning:
         "of the largest usual step",
         "A channel is cut off where it comes and goes so fast; a joint comes to rest slower.",
     )
-    clipped_runs: int = number(3, "runs", "So often a clipped channel stays at one end.")
+    clipped_runs: int = number(2, "runs", "So often a clipped channel stays at one end.")
     clipped_run: int = number(3, "samples", "Length of such a run at least.")
     clipped: float = number(0.02, "of the samples", "Fewer at one end make no difference.")
+    repeats: float = number(
+        0.005, "of the samples", "A channel that repeats fewer values is finer than its noise."
+    )
     clipped_distinct: int = number(
         200, "values", "A channel with fewer distinct ones is quantized, and repeats its ends."
     )

@@ -29,6 +29,7 @@ CATCHES_UP = 1.5
 MOSTLY = 0.4  # of the short runs
 STEPS = 2.0  # of the sensor, by which a joint must have moved for a repeated value to be a lost one
 ROUNDING = 1e-9  # of the range: closer values are one value
+OFF_LATTICE, ON_LATTICE = 0.1, 0.95  # of a step, for so many of the differences
 AT_REST = 6  # equal positions in a row are a joint at rest, not frames lost one after another
 
 
@@ -205,9 +206,10 @@ def held(observed: Array, t_s: Array) -> NDArray[np.bool_]:
     if min((len(np.unique(c)) for c in known[fresh].T), default=0) < DISTINCT * fresh.sum():
         return np.zeros(len(known), np.bool_)
     if bool(np.isfinite(observed[:, 1]).any()):
-        finest = finest_step(observed[:, 0])
+        if not np.nanmax(np.abs(np.diff(observed[:, 0])), initial=0.0):
+            return np.zeros(len(known), np.bool_)
         travel = np.abs(observed[:, 1]) * np.diff(t_s, prepend=t_s[0])
-        moved = travel > STEPS * finest if finest else np.zeros(len(known), np.bool_)
+        moved = travel > STEPS * sensor_step(observed[:, 0])
         return np.asarray(np.logical_not(fresh) & moved)
     runs: NDArray[np.int64] = np.cumsum(fresh)  # of one value each, counted from 1
     many = np.bincount(runs)
@@ -226,6 +228,14 @@ def finest_step(values: Array) -> float:
     gaps = np.diff(distinct)
     gaps = gaps[gaps > ROUNDING * (distinct[-1] - distinct[0])] if len(distinct) > 1 else gaps
     return float(gaps.min()) if len(gaps) else 0.0
+
+
+def sensor_step(values: Array) -> float:
+    """The step of the lattice on which values lie, 0 where they lie on none."""
+    finest = finest_step(values)
+    gaps = np.diff(np.unique(values[np.isfinite(values)])) / finest if finest else np.zeros(0)
+    on_it = np.abs(gaps - np.rint(gaps)) < OFF_LATTICE
+    return finest if len(gaps) and float(np.mean(on_it)) > ON_LATTICE else 0.0
 
 
 def seen_by(s: Series, late_s: Array) -> tuple[NDArray[np.int64], Array]:

@@ -253,7 +253,7 @@ def _limit(apart: Array, x: Array, span: float) -> float:
 
 def _clipped(log: Log, at: int) -> list[Finding]:
     values = log.values(at)
-    if len(np.unique(values)) < SAMPLE.clipped_distinct:
+    if not len(values):
         return []
     for end in (float(values.max()), float(values.min())):
         if end == 0.0:  # at rest
@@ -262,19 +262,30 @@ def _clipped(log: Log, at: int) -> list[Finding]:
             (e, first, last)
             for e in log.episodes
             for first, last in runs(e.observations[:, at])
-            if e.observations[first, at] == end
-            and last - first + 1 >= SAMPLE.clipped_run
-            and _cut_off(e.observations[:, at], first, last)
+            if e.observations[first, at] == end and last - first + 1 >= SAMPLE.clipped_run
         ]
-        many = sum(last - first + 1 for _, first, last in spans)
-        if len(spans) >= SAMPLE.clipped_runs and many > SAMPLE.clipped * len(values):
+        if not _repeats_nothing_else(log, at, end):
+            many = len(np.unique(values)) >= SAMPLE.clipped_distinct
+            spans = [s for s in spans if many and _cut_off(s[0].observations[:, at], s[1], s[2])]
+        count = sum(last - first + 1 for _, first, last in spans)
+        if len(spans) >= SAMPLE.clipped_runs and count > SAMPLE.clipped * len(values):
             channel = log.observed(at)
             evidence = (
                 f"{channel.name} stays exactly at {end:.6g} {channel.unit}, the end of its range, "
-                f"{len(spans)} times, {100 * many / len(values):.1f} % of its samples"
+                f"{len(spans)} times, {100 * count / len(values):.1f} % of its samples"
             )
             return [_finding(log, Fault.CLIPPED_SENSOR, at, spans, evidence, 0.9)]
     return []
+
+
+def _repeats_nothing_else(log: Log, at: int, end: float) -> bool:
+    """Whether a channel's values are so fine that it repeats none but the end of its range."""
+    repeats = samples = 0
+    for e in log.episodes:
+        x = e.observations[:, at]
+        repeats += int(np.sum((np.diff(x) == 0.0) & (x[1:] != end)))
+        samples += len(x)
+    return repeats < SAMPLE.repeats * samples
 
 
 def _cut_off(x: Array, first: int, last: int) -> bool:
