@@ -32,6 +32,7 @@ from trueup.diagnose.problem_setup import Recordings
 from trueup.diagnose.report import Served, report
 from trueup.diagnose.residual_noise import noise_level
 from trueup.diagnose.search import Search
+from trueup.diagnose.second_look import second_look
 from trueup.diagnose.tasks import Solve, in_threads
 from trueup.diagnose.tuning import SEARCH
 from trueup.episode.episode import Episode
@@ -155,6 +156,7 @@ def diagnose(
     selection = _Selection(recordings, search)
     yardstick = Yardstick(recordings, quality, search)
     choice = best_of_the_alike(selection.choice(), yardstick)
+    choice = second_look(choice, yardstick, yardstick.of(Nominal(plant)))
     nominal, problem = selection.nominal, search.problem
     progress("measuring on held-out episodes", 0.0)
     refit = final_refit(recordings, problem, choice.winner)

@@ -179,7 +179,7 @@ def measure(
     corrected one and started from a filter of its own."""
     plant: Plant = corrected.plant
     rng = np.random.default_rng(seed)
-    motion = _motion(plant, episodes)
+    motion = motion_of(plant, episodes)
     horizon = plant.horizon_s
     begun = knows_beginnings(corrected)
     windows = windows_of(plant, episodes, horizon, beginnings=begun)
@@ -216,14 +216,14 @@ def held_out_error(predictor: Predictor, episodes: Sequence[Episode]) -> float:
     windows with which logs begin."""
     plant = predictor.plant
     windows = windows_of(plant, episodes, plant.horizon_s, beginnings=False)
-    return _root(squared_errors(predictor, windows, _motion(plant, episodes)))
+    return _root(squared_errors(predictor, windows, motion_of(plant, episodes)))
 
 
 def closed_on(corrected: Predictor, episodes: Sequence[Episode], sigma: Array) -> float | None:
     """The part of the nominal model's gap that a predictor closes on further episodes; None where
     there was none above their noise."""
     plant = corrected.plant
-    motion = _motion(plant, episodes)
+    motion = motion_of(plant, episodes)
     windows = windows_of(plant, episodes, plant.horizon_s, beginnings=knows_beginnings(corrected))
     before, after = (
         float(np.mean(squared_errors(p, windows, motion))) for p in (Nominal(plant), corrected)
@@ -232,7 +232,7 @@ def closed_on(corrected: Predictor, episodes: Sequence[Episode], sigma: Array) -
     return _closed(before, after, floor) if before > EVIDENCE.at_the_floor * floor else None
 
 
-def _motion(plant: Plant, episodes: Sequence[Episode]) -> Array:
+def motion_of(plant: Plant, episodes: Sequence[Episode]) -> Array:
     """Standard deviation of positions and velocities over all episodes `(2 x joints,)`, 1 where not
     observed."""
     motion = np.ones(2 * len(plant.joints))

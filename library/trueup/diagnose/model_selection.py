@@ -122,12 +122,13 @@ class Conclusion(StrEnum):
 @dataclass(frozen=True, slots=True)
 class Choice:
     """The verdict, the winner, what cannot be told from it, and the part of the gap that it
-    leaves."""
+    leaves; a `partial` winner certainly acts, and leaves more than an answer may."""
 
     verdict: Conclusion
     winner: Candidate
     rivals: tuple[Candidate, ...]
     left: float
+    partial: bool = False
 
 
 def select(

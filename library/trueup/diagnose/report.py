@@ -80,6 +80,9 @@ def report(
         "findings": documents(findings),
         "verdict": str(verdict),
         "effects": list(named),
+        "incomplete": choice.left
+        if choice.partial and choice.verdict is Conclusion.EFFECT
+        else None,
         "nearest": _nearest(plant, choice) if choice.verdict is Conclusion.UNKNOWN else None,
         "indistinguishable": [
             [*(named_term(plant, t) for t in a), *extra]

@@ -37,7 +37,7 @@ def sentence(document: Mapping[str, Any]) -> str:
     doubts = _doubts(document)
     match document["verdict"]:
         case "effect":
-            text = _effects(document)
+            text = _effects(document) + _incomplete(document)
         case "parameters_only":
             text = _new_numbers(document)
         case "no_gap":
@@ -119,6 +119,17 @@ def _new_numbers(document: Mapping[str, Any]) -> str:
     if left:
         return f"{text}; no effect of the catalogue takes a material part of what remains"
     return f"{text}; no effect is missing"
+
+
+def _incomplete(document: Mapping[str, Any]) -> str:
+    """That a part certainly acts, and what it leaves; an older report does not say."""
+    left = document.get("incomplete")
+    if left is None:
+        return ""
+    return (
+        f"; it certainly acts, its law is incomplete: {percent(left)} of the squared error of new "
+        "numbers is left over all recordings"
+    )
 
 
 def _moved(document: Mapping[str, Any]) -> str:

@@ -359,6 +359,25 @@ class ExperimentTuning:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class SecondLookTuning:
+    """Compositions compared by predictions of every recording, where none is the answer."""
+
+    fewest: int = number(3, "recordings", "That are fitted, so that each may be left out once.")
+    compositions: int = number(
+        6, "of one effect", "Those that fit best; each is fitted as often as there are recordings."
+    )
+    on_most: float = number(
+        0.7, "of the recordings", "The part must predict so many better than new numbers do."
+    )
+    leaves: float = number(
+        0.5,
+        "of the squared error of new numbers",
+        "Of all recordings: a part that leaves more is none to rely on.",
+    )
+    iterations: int = number(6, "steps", "From the fit to all recordings to that without one.")
+
+
 DATA_QUALITY = DataQualityTuning()
 SETUP = SetupTuning()
 SEARCH = SearchTuning()
@@ -366,4 +385,5 @@ SELECTION = SelectionTuning()
 FILTER = FilterTuning()
 EVIDENCE = EvidenceTuning()
 EXPERIMENT = ExperimentTuning()
-GROUPS = (DATA_QUALITY, SETUP, SEARCH, SELECTION, FILTER, EVIDENCE, EXPERIMENT)
+SECOND_LOOK = SecondLookTuning()
+GROUPS = (DATA_QUALITY, SETUP, SEARCH, SELECTION, FILTER, EVIDENCE, EXPERIMENT, SECOND_LOOK)

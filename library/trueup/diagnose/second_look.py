@@ -1,0 +1,121 @@
+"""Second look: where no composition explains a machine's recordings, whether an effect certainly
+acts all the same, by predictions, recording by recording.
+
+Fits on windows with starts of their own weigh what a prediction does not show, and recordings that
+are held out may be few and all of one kind. So the refitted nominal form and the best compositions
+are compared by predictions of every recording, those that were fitted left out one by one, as in
+leave-one-out cross-validation. Source: M. Stone, Journal of the Royal Statistical Society B 36
+(1974).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueup.cores import in_parallel
+from trueup.diagnose.by_prediction import Yardstick
+from trueup.diagnose.candidate import Candidate
+from trueup.diagnose.measure import motion_of, squared_errors, windows_of
+from trueup.diagnose.model_selection import Choice, Conclusion
+from trueup.diagnose.tuning import SECOND_LOOK, SELECTION
+from trueup.episode.episode import Episode
+from trueup.model.predictor import Predictor
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """A candidate, and the mean square error of its predictions of each recording, `(recordings,)`:
+    of one that was fitted, by a fit without it."""
+
+    candidate: Candidate
+    errors: Array
+
+    @property
+    def total(self) -> float:
+        """Mean over recordings."""
+        return float(self.errors.mean())
+
+
+def second_look(choice: Choice, yardstick: Yardstick, nominal: float) -> Choice:
+    """The choice, or that of a part that certainly acts: an effect without which predictions miss
+    at least twice as much, on nearly every recording, and with which none that were held out are
+    worse.
+
+    Only where no composition was the answer, on a machine of one joint with some recordings to
+    leave out. `nominal` is the error of the nominal model on held-out episodes.
+    """
+    recordings, search = yardstick.recordings, yardstick.search
+    strategy = recordings.strategy
+    if choice.verdict is not Conclusion.UNKNOWN or strategy.robot or not strategy.physical:
+        return choice
+    if len({e.recording for e in recordings.adaptation}) < SECOND_LOOK.fewest:
+        return choice
+    limit = SELECTION.no_better * min(nominal, yardstick.error(search.base))
+    singles = [c for c in search if len(c.hypothesis.effects) == 1 and np.isfinite(c.total)]
+    singles = sorted(singles, key=lambda c: c.fit.cost)[: SECOND_LOOK.compositions]
+    errors = yardstick.errors(singles)
+    fair = [c for c, error in zip(singles, errors, strict=True) if error <= limit]
+    if not fair:
+        return choice
+    base, *ranked = predictions([search.base, *fair], yardstick)
+    best = min(ranked, key=lambda p: p.total)
+    left = best.total / max(base.total, 1e-300)
+    helps = float(np.mean(best.errors < base.errors))
+    if left > SECOND_LOOK.leaves or helps < SECOND_LOOK.on_most:
+        return choice
+    alike = (1.0 + recordings.criteria.alike) * best.total
+    rivals = tuple(p.candidate for p in ranked if p is not best and p.total < alike)
+    partial = left > recordings.criteria.unexplained
+    return Choice(Conclusion.EFFECT, best.candidate, rivals, left, partial=partial)
+
+
+def predictions(candidates: Sequence[Candidate], yardstick: Yardstick) -> list[Predicted]:
+    """What candidates predict of every recording."""
+    return list(in_parallel(lambda c: _predicted(c, yardstick), candidates))
+
+
+def _predicted(candidate: Candidate, yardstick: Yardstick) -> Predicted:
+    recordings = yardstick.recordings
+    by_recording: dict[str, list[Episode]] = {}
+    for e in recordings.every:
+        by_recording.setdefault(e.recording, []).append(e)
+    fitted = {e.recording for e in recordings.adaptation}
+    whole = yardstick.predictor(candidate)
+    errors = []
+    for recording, episodes in by_recording.items():
+        predictor = _without(candidate, recording, yardstick) if recording in fitted else whole
+        errors.append(_error(predictor, episodes, recordings.every))
+    return Predicted(candidate, np.array(errors))
+
+
+def _without(candidate: Candidate, recording: str, yardstick: Yardstick) -> Predictor | None:
+    """The candidate's predictor, fitted without one recording."""
+    problem = yardstick.search.problem
+    data = [s for s in problem.adaptation if s.digest.split(",", 1)[0] != recording]
+    at = candidate.fit
+    fit = problem.fitter.fit(
+        data,
+        at.hypothesis,
+        at.values,
+        problem.fits.estimated_starts(data, at),
+        iterations=SECOND_LOOK.iterations,
+        fixed=problem.fits.resting(at.values, at.hypothesis.effects),
+    )
+    return yardstick.predictor(replace(candidate, fit=fit)) if np.isfinite(fit.cost) else None
+
+
+def _error(
+    predictor: Predictor | None, episodes: Sequence[Episode], every: Sequence[Episode]
+) -> float:
+    """Mean square error of the predictions of some episodes, in units of the motion of all."""
+    if predictor is None:
+        return float("inf")
+    plant = predictor.plant
+    windows = windows_of(plant, episodes, plant.horizon_s, beginnings=False)
+    return float(squared_errors(predictor, windows, motion_of(plant, every)).mean())

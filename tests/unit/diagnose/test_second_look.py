@@ -1,0 +1,110 @@
+"""A second look at a machine that no composition explains: what certainly acts, by predictions of
+every recording."""
+
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tests.support.simulated import recorded_twice
+from trueup.diagnose import second_look as module
+from trueup.diagnose.by_prediction import Yardstick
+from trueup.diagnose.data_quality import assess
+from trueup.diagnose.explore import explore
+from trueup.diagnose.model_selection import PHYSICAL, Choice, Conclusion
+from trueup.diagnose.problem_setup import Recordings
+from trueup.diagnose.second_look import Predicted, predictions, second_look
+from trueup.model.hypothesis import Hypothesis
+
+BASE = np.array([1.0, 2.0, 1.0, 4.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """A candidate with the errors that its predictions have: held out, and of each recording."""
+
+    names: tuple[str, ...]
+    held_out: float
+    errors: np.ndarray = field(default_factory=lambda: BASE)
+    total: float = 1.0
+
+    @property
+    def hypothesis(self):
+        return Hypothesis(self.names)
+
+    @property
+    def fit(self):
+        return SimpleNamespace(cost=self.total)
+
+
+def looked(monkeypatch, made, *, physical=True, recordings=3, verdict=Conclusion.UNKNOWN):
+    base = Made((), 0.5)
+    monkeypatch.setattr(
+        module, "predictions", lambda candidates, _: [Predicted(c, c.errors) for c in candidates]
+    )
+    search = type("Search", (), {"base": base, "__iter__": lambda _: iter([base, *made])})()
+    yardstick = SimpleNamespace(
+        search=search,
+        recordings=SimpleNamespace(
+            strategy=SimpleNamespace(robot=False, physical=physical),
+            criteria=PHYSICAL,
+            adaptation=[SimpleNamespace(recording=str(i)) for i in range(recordings)],
+        ),
+        error=lambda c: c.held_out,
+        errors=lambda candidates: [c.held_out for c in candidates],
+    )
+    return second_look(Choice(verdict, base, (), 0.7), yardstick, 0.6)
+
+
+def test_a_part_that_certainly_acts_is_named_though_its_law_is_incomplete(monkeypatch):
+    friction = Made(("coulomb_friction",), 0.45, 0.3 * BASE)
+    choice = looked(monkeypatch, [friction, Made(("backlash",), 0.4, 0.9 * BASE)])
+    assert (choice.verdict, choice.winner, choice.partial) == (Conclusion.EFFECT, friction, True)
+    assert choice.left == pytest.approx(0.3)
+    assert choice.rivals == ()
+
+
+def test_what_leaves_hardly_anything_is_an_answer_and_what_is_alike_its_rival(monkeypatch):
+    first, second = Made(("a",), 0.1, 0.1 * BASE), Made(("b",), 0.1, 0.11 * BASE)
+    choice = looked(monkeypatch, [second, first])
+    assert (choice.winner, choice.rivals, choice.partial) == (first, (second,), False)
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        pytest.param(Made(("a",), 0.45, 0.6 * BASE), id="it leaves more than half"),
+        pytest.param(
+            Made(("a",), 0.45, np.array([0.1, 0.1, 1.1, 1.2 * 4.0])), id="two recordings object"
+        ),
+        pytest.param(Made(("a",), 0.55, 0.1 * BASE), id="held-out recordings are worse"),
+        pytest.param(Made(("a", "b"), 0.1, 0.1 * BASE), id="two effects"),
+    ],
+)
+def test_else_the_choice_stands(monkeypatch, made):
+    assert looked(monkeypatch, [made]).verdict is Conclusion.UNKNOWN
+
+
+def test_it_is_for_machines_with_recordings_to_leave_out_that_nothing_explains(monkeypatch):
+    made = [Made(("a",), 0.45, 0.1 * BASE)]
+    assert looked(monkeypatch, made).verdict is Conclusion.EFFECT
+    assert looked(monkeypatch, made, physical=False).verdict is Conclusion.UNKNOWN
+    assert looked(monkeypatch, made, recordings=2).verdict is Conclusion.UNKNOWN
+    kept = looked(monkeypatch, made, verdict=Conclusion.PARAMETERS_ONLY)
+    assert kept.verdict is Conclusion.PARAMETERS_ONLY
+
+
+def test_each_fitted_recording_is_predicted_by_a_fit_without_it():
+    plant, episodes, _ = recorded_twice("A1", ["coulomb_friction"], 11)
+    recordings = Recordings.of(plant, episodes)
+    explored = explore(recordings, assess(plant, recordings.adaptation), lambda *_: None)
+    search = explored.search
+    friction = search.candidates[Hypothesis(("coulomb_friction",))]
+    yardstick = Yardstick(recordings, explored.quality, search)
+    base, answer = predictions([search.base, friction], yardstick)
+    assert base.errors.shape == answer.errors.shape == (len(episodes),)
+    assert (answer.errors < 0.1 * base.errors).all()
+    whole = yardstick.predictor(friction)
+    fitted = module._error(whole, recordings.adaptation[:1], recordings.every)
+    assert answer.errors[0] > fitted
