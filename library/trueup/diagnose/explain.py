@@ -193,11 +193,12 @@ def parameter_table(
     plant: Plant, directions: Directions, minima: Sequence[RolloutFit], other: RolloutFit
 ) -> dict[str, Json]:
     """Nominal and fitted parameters with 95 % intervals; of a tree those that its data determine
-    one by one, and those that were fitted by themselves."""
+    one by one, with damping and dry friction, which no mass takes the place of."""
     fit = minima[0]
     limits = _limits(plant.dynamics, plant, directions, minima, other)
     fitted = directions.determined.copy()
-    fitted[directions.alone[directions.alone >= 0]] = True
+    dissipates = (directions.alone >= 0) & (directions.low == 0.0)
+    fitted[directions.alone[dissipates]] = True
     return {
         name: {"nominal": nominal, "value": float(value), "ci95": [float(low), float(high)]}
         for (name, nominal), value, (low, high), determined in zip(
