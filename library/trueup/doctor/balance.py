@@ -25,6 +25,7 @@ from trueup.model.series import positions_and_velocities
 from trueup.model.tree import DAMPING, GAIN, JOINT, LINK, OFFSET, SERVO, STIFFNESS
 
 Array = NDArray[np.float64]
+STILL = 1e-9  # of a position: a joint that moves by less does not move
 POWER = 4  # of the weight (x (1 - x))^POWER: its second derivative is smooth, and 0 at both ends
 
 
@@ -142,14 +143,18 @@ def balance_of(
     target, known, names = _sides(
         plant.dynamics, plant, data, joint, joint if driver is None else driver
     )
-    v = data.v[:, joint]
+    v, q = data.v[:, joint], data.q[:, joint]
+    if not np.nanmax(np.abs(q - q[0]), initial=0.0) > STILL * max(abs(float(q[0])), STILL):
+        return None
     design = np.column_stack([known, np.sign(v), np.ones_like(v)])
     finite = np.isfinite(design).all(axis=1) & np.isfinite(target)
     design, target = design[finite], target[finite]
+    if len(target) <= 2 * design.shape[1]:
+        return None
     size = np.sqrt(np.mean(design**2, axis=0))
     used = size > 0.0
-    power = float(np.sum((target - target.mean()) ** 2)) if len(target) else 0.0
-    if not used[0] or power <= 0.0 or len(target) <= 2 * design.shape[1]:
+    power = float(np.sum((target - target.mean()) ** 2))
+    if not used[0] or power <= 0.0:
         return None
     scaled = design[:, used] / size[used]
     values, _, rank, _ = np.linalg.lstsq(scaled, target, rcond=1e-9)

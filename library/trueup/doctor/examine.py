@@ -10,11 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from trueup.doctor.examinations import clocks, limits, samples, scales, velocity
 from trueup.doctor.finding import Finding
 from trueup.doctor.log import Log
-from trueup.doctor.mends import CutAtGaps, Masked, without_masked
+from trueup.doctor.mends import CutAtGaps, Masked, gaps, without_masked
 from trueup.episode.episode import Episode
+from trueup.episode.layout import Field
 from trueup.model.plant import Plant
 
 EXAMINATIONS: tuple[Callable[[Log], list[Finding]], ...] = (
@@ -34,6 +37,8 @@ def examine(plant: Plant, episodes: Sequence[Episode]) -> list[Finding]:
     """What is wrong with the recordings of a plant, in the order in which it is mended. Empty where
     nothing is."""
     log, findings = Log(plant, episodes), list[Finding]()
+    if not episodes:
+        return findings
     for examination in EXAMINATIONS:
         more = examination(log)
         findings += more
@@ -60,9 +65,9 @@ def usable(plant: Plant, episodes: Sequence[Episode]) -> Usable:
     kept = list(episodes)
     for mend in (m for f in findings for m in f.mends if isinstance(m, Masked)):
         kept = mend.applied_to(kept)
-    kept = [without_masked(e) for e in kept]
+    kept = [without_masked(e) for e in kept if not _is_all_masked(e)]
     cut = CutAtGaps(tuple(e.recording for e in kept), plant.horizon_s)
-    pieces = [piece for e in kept for piece in (cut.apply(e) if len(e.gaps) else [e])]
+    pieces = [piece for e in kept for piece in (cut.apply(e) if len(gaps(e)) else [e])]
     return Usable(
         tuple(pieces),
         tuple(
@@ -72,3 +77,10 @@ def usable(plant: Plant, episodes: Sequence[Episode]) -> Usable:
             for f in findings
         ),
     )
+
+
+def _is_all_masked(episode: Episode) -> bool:
+    """Whether nothing of an episode is left that says something."""
+    seen = np.isfinite(episode.observations)
+    positions = [c.field is Field.POSITION for c in episode.layout.observations]
+    return not seen[:, positions].all(axis=1).any()

@@ -100,4 +100,5 @@ class Log:
             return 0.0
         low, high = declared
         middle, half = (low + high) / 2.0, (high - low) / 2.0
-        return float(np.mean(np.abs(self.values(at) - middle) > times * half))
+        values = self.values(at)
+        return float(np.mean(np.abs(values - middle) > times * half)) if len(values) else 0.0

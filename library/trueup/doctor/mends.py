@@ -163,7 +163,7 @@ class CutAtGaps(Mend):
     least_s: float
 
     def apply(self, episode: Episode) -> list[Episode]:
-        edges = [0, *episode.gaps.tolist(), len(episode.t_s)]
+        edges = [0, *gaps(episode).tolist(), len(episode.t_s)]
         spans = [(first, last) for first, last in pairwise(edges) if last - first >= LEAST_PIECE]
         lengths = [float(episode.t_s[last - 1] - episode.t_s[first]) for first, last in spans]
         least = min(self.least_s, max(lengths, default=0.0))
@@ -175,6 +175,16 @@ class CutAtGaps(Mend):
 
 
 LEAST_PIECE = 20  # samples: less shows no motion
+# of the intervals are no longer than a usual one; and a gap is so many times as long
+USUAL, LONGER = 0.95, 3.0
+
+
+def gaps(episode: Episode) -> NDArray[np.int64]:
+    """Samples before which a gap is, `(gaps,)`: one that is also long beside the usual intervals of
+    a log whose stamps are irregular."""
+    spans = np.diff(episode.t_s)
+    at = episode.gaps
+    return at[spans[at - 1] > LONGER * float(np.quantile(spans, USUAL))]
 
 
 def without_masked(episode: Episode) -> Episode:

@@ -1,6 +1,7 @@
 """The doctor on logs that were spoilt on purpose, simulated and real, and on the same logs as they
 were."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -156,6 +157,49 @@ def test_a_finding_says_where_it_is_and_how_it_is_mended(pendulum):
     assert "rpm" in document["mend"]
     assert 0.9 < document["confidence"] <= 1.0
     assert document["applied"] is False
+
+
+@pytest.mark.parametrize("samples", [2, 5, 40])
+def test_short_logs_have_no_findings(pendulum, samples):
+    plant, episodes = pendulum
+    short = [
+        replace(
+            e,
+            t_s=e.t_s[:samples].copy(),
+            commands=e.commands[:samples].copy(),
+            observations=e.observations[:samples].copy(),
+        )
+        for e in episodes
+    ]
+    assert examine(plant, short) == []
+    assert examine(plant, []) == []
+
+
+@pytest.mark.parametrize("what", ["positions", "velocities", "commands", "everything"])
+def test_what_never_changes_is_looked_at_without_harm(pendulum, what):
+    plant, episodes = pendulum
+    still = []
+    for e in episodes:
+        seen, issued = e.observations.copy(), e.commands.copy()
+        if what in ("positions", "everything"):
+            seen[:, 0] = 1.0
+        if what in ("velocities", "everything"):
+            seen[:, 1] = 0.0
+        if what in ("commands", "everything"):
+            issued[:] = 0.0
+        still.append(replace(e, observations=seen, commands=issued))
+    assert usable(plant, still).findings == ()
+
+
+def test_stamps_that_come_at_random_are_no_gaps(pendulum):
+    plant, episodes = pendulum
+    rng = np.random.default_rng(0)
+    spans = [rng.exponential(e.period_s, len(e.t_s) - 1) for e in episodes]
+    irregular = [
+        replace(e, t_s=np.append(0.0, np.cumsum(x))) for e, x in zip(episodes, spans, strict=True)
+    ]
+    assert all(len(e.gaps) for e in irregular)
+    assert Fault.GAP not in names(plant, irregular)
 
 
 def test_pieces_shorter_than_a_prediction_are_left_out_but_for_the_longest(pendulum):

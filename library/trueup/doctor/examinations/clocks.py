@@ -15,7 +15,7 @@ import numpy as np
 from trueup.doctor.answers import answered_early_s
 from trueup.doctor.finding import Fault, Finding
 from trueup.doctor.log import Log
-from trueup.doctor.mends import CutAtGaps, Shifted
+from trueup.doctor.mends import CutAtGaps, Shifted, gaps
 from trueup.doctor.tuning import CLOCK
 from trueup.episode.episode import GAP_PERIODS, Episode
 from trueup.episode.omission import Omission, Reason
@@ -37,7 +37,7 @@ def examine(log: Log) -> list[Finding]:
 def _gaps(log: Log) -> list[Finding]:
     findings = []
     for e in log.episodes:
-        for at in e.gaps:
+        for at in gaps(e):
             before, after = float(e.t_s[at - 1]), float(e.t_s[at])
             findings.append(
                 Finding(

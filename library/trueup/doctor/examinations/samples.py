@@ -253,7 +253,7 @@ def _limit(apart: Array, x: Array, span: float) -> float:
 
 def _clipped(log: Log, at: int) -> list[Finding]:
     values = log.values(at)
-    if not len(values):
+    if not len(values) or float(np.ptp(values)) == 0.0:
         return []
     for end in (float(values.max()), float(values.min())):
         if end == 0.0:  # at rest
