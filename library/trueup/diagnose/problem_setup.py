@@ -243,15 +243,8 @@ def _costliest_stretch(episode: Episode, costs: np.ndarray, most: int) -> Episod
         return episode
     many = max(1, int(len(costs) * most / samples))
     first = int(np.argmax(np.convolve(costs, np.ones(many), "valid"))) * samples // len(costs)
-    kept = slice(min(first, samples - most), min(first, samples - most) + most)
-    return replace(
-        episode,
-        t_s=episode.t_s[kept] - episode.t_s[kept][0],
-        commands=episode.commands[kept].copy(),
-        observations=episode.observations[kept].copy(),
-        # another digest, for its hidden states begin elsewhere
-        digest=f"{episode.digest}, samples {kept.start} to {kept.stop}",
-    )
+    begin = min(first, samples - most)
+    return episode.part(begin, begin + most)  # a digest of its own, for hidden states begin there
 
 
 def thinning(quality: DataQuality, episodes: Sequence[Episode]) -> int:

@@ -97,7 +97,8 @@ def _predicted(candidate: Candidate, yardstick: Yardstick) -> Predicted:
 def _without(candidate: Candidate, recording: str, yardstick: Yardstick) -> Predictor | None:
     """The candidate's predictor, fitted without one recording."""
     problem = yardstick.search.problem
-    data = [s for s in problem.adaptation if s.digest.split(",", 1)[0] != recording]
+    parts = {e.digest for e in yardstick.recordings.adaptation if e.recording == recording}
+    data = [s for s in problem.adaptation if s.digest not in parts]
     at = candidate.fit
     fit = problem.fitter.fit(
         data,

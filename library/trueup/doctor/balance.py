@@ -78,9 +78,9 @@ def weights(samples: int, period_s: float) -> tuple[Array, Array, Array]:
     return weight / total, first / total / length_s, second / total / length_s**2
 
 
-def evenly(plant: Plant, episode: Episode) -> tuple[Array, Array, Array]:
-    """Instants a median period apart, and positions and commands `(samples, joints)` at them; a
-    command counts for half of the interval before and half of that after."""
+def evenly(plant: Plant, episode: Episode) -> tuple[Array, Array]:
+    """Positions and commands `(samples, joints)` at instants a median period apart; a command
+    counts for half of the interval before and half of that after."""
     period_s = episode.period_s
     t = np.arange(0.0, float(episode.t_s[-1]), period_s)
     joints = len(plant.joints)
@@ -90,8 +90,8 @@ def evenly(plant: Plant, episode: Episode) -> tuple[Array, Array, Array]:
         np.searchsorted(episode.t_s, t + 1e-9, side="right") - 1, 0, len(episode.t_s) - 1
     )
     issued = episode.commands[index]
-    u = np.where(plant.command_columns >= 0, issued[:, plant.command_columns], 0.0)
-    return t, q, (u + np.concatenate([u[:1], u[:-1]])) / 2.0
+    u = plant.at_joints(issued)
+    return q, (u + np.concatenate([u[:1], u[:-1]])) / 2.0
 
 
 def interpolated(t: Array, known_t: Array, values: Array) -> Array:
@@ -102,7 +102,7 @@ def interpolated(t: Array, known_t: Array, values: Array) -> Array:
 
 def averages(plant: Plant, episode: Episode, samples: int) -> Averages:
     """Averages over spans of so many samples that overlap by half."""
-    _, q, u = evenly(plant, episode)
+    q, u = evenly(plant, episode)
     if len(q) <= samples:
         nothing = np.zeros((0, len(plant.joints)))
         return Averages(nothing, nothing, nothing, nothing)
@@ -136,13 +136,9 @@ def balances(plant: Plant, episodes: Sequence[Episode]) -> list[Balance | None]:
     return best
 
 
-def balance_of(
-    plant: Plant, data: Averages, joint: int, driver: int | None = None
-) -> Balance | None:
-    """The balance of one joint, driven by its own command or by that of another joint."""
-    target, known, names = _sides(
-        plant.dynamics, plant, data, joint, joint if driver is None else driver
-    )
+def balance_of(plant: Plant, data: Averages, joint: int) -> Balance | None:
+    """The balance of one joint; None where it does not move, or too little is known of it."""
+    target, known, names = _sides(plant.dynamics, plant, data, joint)
     v, q = data.v[:, joint], data.q[:, joint]
     if not np.nanmax(np.abs(q - q[0]), initial=0.0) > STILL * max(abs(float(q[0])), STILL):
         return None
@@ -182,17 +178,17 @@ def balance_of(
 
 @singledispatch
 def _sides(
-    dynamics: Dynamics, plant: Plant, data: Averages, joint: int, driver: int
+    dynamics: Dynamics, plant: Plant, data: Averages, joint: int
 ) -> tuple[Array, Array, list[str]]:
     raise TypeError(type(dynamics).__name__)
 
 
 @_sides.register
 def _sides_of_family(
-    dynamics: CompiledFamily, plant: Plant, data: Averages, joint: int, driver: int
+    dynamics: CompiledFamily, plant: Plant, data: Averages, joint: int
 ) -> tuple[Array, Array, list[str]]:
     """Acceleration, and what each nominal number gives of it, the command's first."""
-    q, v, u = data.q[:, joint], data.v[:, joint], data.u[:, driver]
+    q, v, u = data.q[:, joint], data.v[:, joint], data.u[:, joint]
     factors = np.stack(dynamics.family.regressors(q, v, u), axis=1) * np.array(plant.parameters)
     moving = dynamics.family.regressors(np.zeros(1), np.zeros(1), np.ones(1))
     command = int(np.argmax([abs(float(x[0])) for x in moving]))
@@ -207,7 +203,7 @@ def _sides_of_family(
 
 @_sides.register
 def _sides_of_tree(
-    dynamics: CompiledTree, plant: Plant, data: Averages, joint: int, driver: int
+    dynamics: CompiledTree, plant: Plant, data: Averages, joint: int
 ) -> tuple[Array, Array, list[str]]:
     """The force that the nominal links and springs need at the joint, and the command's, besides a
     damper."""
@@ -218,5 +214,5 @@ def _sides_of_tree(
     at = columns[:, joint]
     passive = sum(at[:, own + k] * given[own + k] for k in (DAMPING, SERVO, STIFFNESS))
     target = needed[:, joint] + passive - dynamics.tree.constants[joint, OFFSET]
-    command = given[own + GAIN] * data.u[:, driver]
+    command = given[own + GAIN] * data.u[:, joint]
     return target, np.column_stack([command, data.v[:, joint]]), ["command"]

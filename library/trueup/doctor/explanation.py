@@ -13,23 +13,24 @@ from trueup.doctor.odds import evidence, log_odds, probability
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """A fault with its mends, what speaks for it beside the motion [nats], and how probable it was
-    before the log was seen."""
+    """A fault, the log once it is mended, what speaks for it beside the motion [nats], and how
+    probable it was before the log was seen."""
 
     finding: Finding
+    mended: Log
     beside: float
     prior: float
 
     def odds(self, log: Log) -> float:
         """The logarithm of its odds on a log."""
-        mended = log.mended(self.finding.mends)
-        return log_odds(evidence(log.balances, mended.balances) + self.beside, self.prior)
+        return log_odds(evidence(log.balances, self.mended.balances) + self.beside, self.prior)
 
 
-def most_probable(log: Log, explanations: Sequence[Explanation]) -> Finding | None:
-    """The finding of the most probable explanation, with its probability; None of none."""
+def most_probable(log: Log, explanations: Sequence[Explanation]) -> Explanation | None:
+    """The most probable explanation, its finding with its probability; None of none."""
     odds = [explanation.odds(log) for explanation in explanations]
     if not odds:
         return None
     best = max(range(len(odds)), key=lambda i: odds[i])
-    return replace(explanations[best].finding, confidence=probability(odds[best]))
+    finding = replace(explanations[best].finding, confidence=probability(odds[best]))
+    return replace(explanations[best], finding=finding)

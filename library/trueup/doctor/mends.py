@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.episode.episode import LEAST_SAMPLES, Episode
+from trueup.model.series import integral_of
 
 Array = NDArray[np.float64]
 
@@ -126,10 +127,8 @@ class Shifted(Mend):
 def mean_commands(episode: Episode, at: Array) -> Array:
     """The mean command from each of some instants [s] to the next, `(instants, commands)`; the last
     one goes on."""
-    t = episode.t_s
-    held = episode.commands[:-1] * np.diff(t)[:, None]
-    integral = np.concatenate([np.zeros_like(held[:1]), np.cumsum(held, axis=0)])
-    sums = np.stack([np.interp(at, t, column) for column in integral.T], axis=1)
+    integral = integral_of(episode.commands, episode.t_s)
+    sums = np.stack([np.interp(at, episode.t_s, column) for column in integral.T], axis=1)
     means = np.diff(sums, axis=0) / np.diff(at)[:, None]
     return np.concatenate([means, means[-1:]])
 

@@ -175,7 +175,7 @@ def _offset(log: Log) -> list[Finding]:
                 [e for e, _ in late],
                 float(np.median([s for _, s in late])),
                 0.95,
-                "observations begin and end {} later than commands, by the same time at both ends",
+                "observations begin and end {} {} than commands, by the same time at both ends",
             )
         ]
     logged = [(e, s) for e in log.episodes if (s := _late_by_logging(e)) is not None]
@@ -185,8 +185,8 @@ def _offset(log: Log) -> list[Finding]:
                 [e for e, _ in logged],
                 float(np.median([s for _, s in logged])),
                 0.9,
-                "messages were logged before they were stamped, and stamps differ by {} between "
-                "the topics",
+                "messages were logged before they were stamped: the stamps of observations are {} "
+                "{} than those of commands",
             )
         ]
     early = answered_early_s(log)
@@ -196,7 +196,8 @@ def _offset(log: Log) -> list[Finding]:
                 list(log.episodes),
                 early,
                 0.9,
-                "the command answers the noise of the position {} before the position shows it",
+                "the command answers the noise of the position before the position shows it, which "
+                "is {} {}",
             )
         ]
     return []
@@ -204,15 +205,16 @@ def _offset(log: Log) -> list[Finding]:
 
 def _topic_offset(episodes: list[Episode], late_s: float, sure: float, words: str) -> Finding:
     digests = tuple(e.digest for e in episodes)
-    which = "late" if late_s > 0.0 else "early"
+    later, late, by = ("later", "late", "back") if late_s > 0.0 else ("earlier", "early", "forward")
+    span = f"{1e3 * abs(late_s):.4g} ms"
     return Finding(
         Fault.TOPIC_OFFSET,
         None,
         None,
         digests,
         sure,
-        words.format(f"{1e3 * late_s:.4g} ms"),
-        f"Stamps of observations are {abs(1e3 * late_s):.4g} ms {which}: move them back by that.",
+        words.format(span, later),
+        f"Stamps of observations are {span} {late}: move them {by} by that.",
         (Shifted(digests, late_s),),
     )
 

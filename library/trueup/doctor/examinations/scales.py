@@ -29,10 +29,10 @@ def examine(log: Log) -> list[Finding]:
     while len(findings) <= 2 * len(log.plant.joints) and _wants_explanation(log):
         explanations = [*_units(log), *_signs(log), *_command_scales(log), *_swaps(log)]
         best = most_probable(log, explanations)
-        if best is None or best.confidence < PRIOR.certain:
+        if best is None or best.finding.confidence < PRIOR.certain:
             break
-        findings.append(best)
-        log = log.mended(best.mends)
+        findings.append(best.finding)
+        log = best.mended
     return findings
 
 
@@ -86,13 +86,14 @@ def _unit(
         *(log.observed(v).name for v in velocities),
         *(log.issued(c).name for c in commands if with_commands),
     ]
-    beside_text = f", and so are {', '.join(also)}" if also else ""
+    beside_text = f", and {', '.join(also)} accordingly" if also else ""
     mend = Scaled(
         log.digests,
         factor,
         observations=(*positions, *velocities),
         commands=tuple(commands) if with_commands else (),
     )
+    mended = log.mended([mend])
     return Explanation(
         Finding(
             fault,
@@ -100,13 +101,14 @@ def _unit(
             log.joint(joints[0]) if len(joints) == 1 else None,
             log.digests,
             0.0,
-            _numbers(log, log.mended([mend]), joints),
+            _numbers(log, mended, joints),
             (
-                f"{names} in {other.unit}{beside_text}, where {channels[0].unit} is declared: "
+                f"{names} was logged in {other.unit}{beside_text}; {channels[0].unit} is declared: "
                 f"multiply by {factor:.6g}."
             ),
             (mend,),
         ),
+        mended,
         beside,
         PRIOR.usual if other.usual else PRIOR.unusual,
     )
@@ -163,6 +165,7 @@ def _signs(log: Log) -> Iterator[Explanation]:
         groups.append(backward)
     for group in groups:
         commands = tuple(at for at, _ in group)
+        mend = Scaled(log.digests, -1.0, commands=commands)
         names = ", ".join(log.issued(at).name for at in commands)
         evidence = "; ".join(
             f"{_joint_words(log, j)}the acceleration answers {log.issued(at).name} with "
@@ -180,8 +183,9 @@ def _signs(log: Log) -> Iterator[Explanation]:
                 0.0,
                 evidence,
                 f"Change the sign of {names}.",
-                (Scaled(log.digests, -1.0, commands=commands),),
+                (mend,),
             ),
+            log.mended([mend]),
             0.0,
             PRIOR.usual,
         )
@@ -214,6 +218,7 @@ def _command_scales(log: Log) -> Iterator[Explanation]:
         scale = _scale(fitted, used)
         if scale is None:
             continue
+        mend = Scaled(log.digests, 1.0 / scale, commands=(at,))
         yield Explanation(
             Finding(
                 Fault.COMMAND_SCALE,
@@ -234,8 +239,9 @@ def _command_scales(log: Log) -> Iterator[Explanation]:
                     f"{channel.name} is about {scale:.4g} times as large as in "
                     f"{channel.unit or 'its unit'}: divide by {scale:.4g}."
                 ),
-                (Scaled(log.digests, 1.0 / scale, commands=(at,)),),
+                (mend,),
             ),
+            log.mended([mend]),
             _range_of_command(log, at, 1.0 / scale),
             PRIOR.usual if often > COMMAND.often else PRIOR.scale,
         )
@@ -284,7 +290,8 @@ def _swaps(log: Log) -> Iterator[Explanation]:
 
 def _swap(log: Log, what: str, pair: tuple[int, int], mend: Permuted) -> Explanation:
     i, j = pair
-    before, after = log.balances, log.mended([mend]).balances
+    mended = log.mended([mend])
+    before, after = log.balances, mended.balances
     shares = "; ".join(
         f"at {log.joint(k)} force and command have a squared partial correlation of "
         f"{_of_command(before[k])}, and of {_of_command(after[k])} once they are exchanged"
@@ -301,6 +308,7 @@ def _swap(log: Log, what: str, pair: tuple[int, int], mend: Permuted) -> Explana
             f"Exchange the {what} of {log.joint(i)} and {log.joint(j)}.",
             (mend,),
         ),
+        mended,
         0.0,
         PRIOR.usual,
     )
