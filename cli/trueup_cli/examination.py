@@ -11,16 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from trueup.diagnose.case import read_plant
+from trueup.diagnose.case import read_case, read_recording, recordings_of
 from trueup.doctor.answers import Loop, loop
 from trueup.doctor.examine import examine
 from trueup.doctor.finding import Finding, documents, files_of
 from trueup.doctor.log import Log
 from trueup.doctor.mends import Shifted, without_masked
 from trueup.episode.episode import Episode
-from trueup.episode.mcap import read_episode_stream
 from trueup.episode.writer import write_episode
-from trueup.errors import NotAnEpisode, of_file
+from trueup.errors import NotAnEpisode
 from trueup.model.plant import Plant
 from trueup_cli.show import as_json, progress, say, table
 
@@ -56,25 +55,18 @@ def examined(folder: Path) -> Examined:
     """Examines a case folder. Raises BadPlant, BadEpisode."""
     with progress("doctor") as bar:
         bar(0.0, "reading the episodes")
-        plant = read_plant(folder)
-        episodes = {file: _read(file, plant) for file in sorted(folder.glob("*.mcap"))}
-        if not episodes:
-            raise NotAnEpisode(f"{folder} holds no *.mcap episode", rule="samples")
+        plant, episodes = read_case(folder)
         bar(0.3, "looking for faults")
-        findings = examine(plant, list(episodes.values()))
-        log = Log(plant, list(episodes.values()))
+        findings = examine(plant, episodes)
+        log = Log(plant, episodes)
         loops = [
             (plant.joints[j], closed)
             for j in range(len(plant.joints))
             if (closed := loop(log, j)) is not None
         ]
         bar(1.0, "done")
-    return Examined(folder, plant, episodes, findings, loops)
-
-
-def _read(file: Path, plant: Plant, late_s: float = 0.0) -> Episode:
-    with of_file(file.name), file.open("rb") as stream:
-        return read_episode_stream(stream, file.stat().st_size, plant.layout, late_s=late_s)
+    by_file = dict(zip(recordings_of(folder), episodes, strict=True))
+    return Examined(folder, plant, by_file, findings, loops)
 
 
 def mend(case: Examined, out: Path) -> list[Path]:
@@ -115,7 +107,7 @@ def _mended(case: Examined, file: Path, episode: Episode) -> list[Episode]:
     two samples has to be taken from the recording."""
     mends = [m for f in case.findings for m in f.mends if episode.digest in m.episodes]
     late = [m.late_s for m in mends if isinstance(m, Shifted)]
-    pieces = [_read(file, case.plant, late[0]) if late else episode]
+    pieces = [read_recording(file, case.plant, late[0]) if late else episode]
     for step in mends:
         if not isinstance(step, Shifted):
             pieces = step.applied_to(pieces)

@@ -22,9 +22,11 @@ from trueup.diagnose.model_selection import Choice, Conclusion
 from trueup.diagnose.problem_setup import Recordings
 from trueup.diagnose.search import Search
 from trueup.diagnose.tuning import SELECTION
+from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.corrected import Corrected
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor
+from trueup.model.series import Scheme
 
 
 @dataclass(frozen=True)
@@ -35,23 +37,24 @@ class Yardstick:
     quality: DataQuality
     search: Search
 
-    def predictor(self, candidate: Candidate) -> Corrected | None:
-        """The candidate's predictor; None where its numbers are so far off that it has no
-        filter."""
+    def predictor(self, fit: RolloutFit, scheme: Scheme | None = None) -> Corrected | None:
+        """The predictor of a fit, under the search's scheme of integration or another; None where
+        its numbers are so far off that it has no filter."""
+        recordings = self.recordings
         try:
             return corrected(
-                self.recordings.plant,
+                recordings.plant,
                 self.quality,
-                candidate.fit,
-                self.search.problem.scheme,
-                self.recordings.adaptation,
+                fit,
+                scheme or self.search.problem.scheme,
+                recordings.adaptation,
             )
         except np.linalg.LinAlgError:
             return None
 
     def error(self, candidate: Candidate) -> float:
         """Root mean square error of the candidate's predictions of held-out episodes."""
-        predictor = self.predictor(candidate)
+        predictor = self.predictor(candidate.fit)
         return self.of(predictor) if predictor is not None else float("inf")
 
     def of(self, predictor: Predictor) -> float:

@@ -25,7 +25,12 @@ def read_case(folder: Path) -> tuple[Plant, list[Episode]]:
 
 def read_episodes(folder: Path, plant: Plant) -> list[Episode]:
     """Every episode of a case folder, in the order of their file names. Raises BadEpisode."""
-    return [_read(file, plant) for file in sorted(folder.glob("*.mcap"))]
+    return [read_recording(file, plant) for file in recordings_of(folder)]
+
+
+def recordings_of(folder: Path) -> list[Path]:
+    """The recordings of a case folder, in the order of their names."""
+    return sorted(folder.glob("*.mcap"))
 
 
 def read_plant(folder: Path) -> Plant:
@@ -50,6 +55,8 @@ def read_plant(folder: Path) -> Plant:
     return Plant.from_document(resolved(document, folder))
 
 
-def _read(file: Path, plant: Plant) -> Episode:
+def read_recording(file: Path, plant: Plant, late_s: float = 0.0) -> Episode:
+    """The episode in a file, whose observations happened `late_s` [s] before their stamps. Raises
+    BadEpisode."""
     with of_file(file.name), file.open("rb") as stream:
-        return read_episode_stream(stream, file.stat().st_size, plant.layout)
+        return read_episode_stream(stream, file.stat().st_size, plant.layout, late_s=late_s)

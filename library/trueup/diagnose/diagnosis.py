@@ -6,8 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-import numpy as np
-
 from trueup.canonical import Json
 from trueup.collect.bounds import Recorded
 from trueup.cores import in_parallel
@@ -18,7 +16,7 @@ from trueup.diagnose.by_prediction import (
     nominal_predictor,
     predicts_worse,
 )
-from trueup.diagnose.data_quality import DataQuality, assess
+from trueup.diagnose.data_quality import assess
 from trueup.diagnose.explain import alternative, bounds, estimates, parameter_table, shares
 from trueup.diagnose.explore import explore
 from trueup.diagnose.filtering import corrected
@@ -41,8 +39,7 @@ from trueup.model.corrected import Corrected
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.mjcf_patch import Patch, patch
 from trueup.model.plant import Plant
-from trueup.model.predictor import Nominal, Predictor
-from trueup.model.series import Scheme
+from trueup.model.predictor import Nominal
 
 Progress = Callable[[str, float], None]
 
@@ -121,18 +118,6 @@ class _Selection:
         return choice
 
 
-def _with_the_same_numbers(
-    nominal: RolloutFit, recordings: Recordings, quality: DataQuality, scheme: Scheme
-) -> Predictor:
-    """The nominal numbers under another integration scheme, started from a filter; the nominal
-    model as it is where its numbers are so far off that there is no filter."""
-    plant = recordings.plant
-    try:
-        return corrected(plant, quality, nominal, scheme, recordings.adaptation)
-    except np.linalg.LinAlgError:
-        return Nominal(plant)
-
-
 def diagnose(
     plant: Plant,
     episodes: Sequence[Episode],
@@ -165,7 +150,7 @@ def diagnose(
         refit = FinalRefit(choice.winner, problem.scheme, choice.winner.fit)
         predictor = corrected(plant, quality, refit.answer.fit, refit.scheme, adaptation)
     refitted = corrected(plant, quality, search.base.fit, problem.scheme, adaptation)
-    same = _with_the_same_numbers(nominal, recordings, quality, refit.scheme)
+    same = yardstick.predictor(nominal, refit.scheme) or Nominal(plant)
     noise = Noise(quality.noise, quality.correlation)
     measured = partial(measure, Nominal(plant), same, refitted)
     gap = measured(predictor, validation, noise, seed)
@@ -174,7 +159,7 @@ def diagnose(
         least = min(gap.before, gap.same_numbers, gap.parameters_only)
         choice, better = fallback(choice, yardstick, least)
         refit = FinalRefit(choice.winner, problem.scheme, choice.winner.fit)
-        nearest = yardstick.predictor(choice.winner) if better else None
+        nearest = yardstick.predictor(choice.winner.fit) if better else None
         served = Served.CORRECTED if nearest is not None else Served.NOMINAL
         predictor = nearest or nominal_predictor(plant, same, yardstick)
         gap = measured(predictor, validation, noise, seed)

@@ -19,6 +19,7 @@ from trueup.diagnose.model_selection import nothing_left
 from trueup.diagnose.problem_setup import Recordings, Setup
 from trueup.diagnose.residual_noise import quality_by_residuals
 from trueup.diagnose.search import Search
+from trueup.diagnose.search_problem import SearchProblem
 from trueup.diagnose.strategy import PAIR
 from trueup.diagnose.tasks import Solve, in_threads
 from trueup.diagnose.tuning import DATA_QUALITY, SEARCH, SETUP
@@ -64,6 +65,7 @@ class _Exploration:
         self.criteria, self.strategy = recordings.criteria, recordings.strategy
         self.effort, self.progress, self.solve = recordings.strategy.effort, progress, solve
         self.ramps_leave: float | None = None
+        self._problems: dict[tuple[Scheme, int], tuple[SearchProblem, Candidate]] = {}
 
     def search(self) -> tuple[Search, DataQuality | None]:
         """The best search; and where residuals show another noise, the quality with that."""
@@ -103,19 +105,27 @@ class _Exploration:
     def _is_ramped(self, scheme: Scheme) -> bool:
         """Whether commands of undeclared hold are ramps: the nominal form must fit plainly better,
         on most windows. Samples that are thinned lie too close for it to matter."""
-        held = Setup(self.recordings, self.quality, scheme)
-        if not self.recordings.plant.undeclared_holds or held.thinned_by > 1:
+        if not self.recordings.plant.undeclared_holds:
             return False
-        _, keeps = held.problem(1)
-        _, rises = Setup(self.recordings, self.quality, replace(scheme, ramped=True)).problem(1)
+        if Setup(self.recordings, self.quality, scheme).thinned_by > 1:
+            return False
+        _, keeps = self._problem(scheme, 1)
+        _, rises = self._problem(replace(scheme, ramped=True), 1)
         self.ramps_leave = rises.total / max(keeps.total, 1e-300)
         return is_plainly_better(rises, keeps)
 
     def _begin(self, scheme: Scheme, parts: int) -> Search:
         """A new search, which has the nominal form refitted and nothing else yet."""
-        problem, base = Setup(self.recordings, self.quality, scheme).problem(parts)
+        problem, base = self._problem(scheme, parts)
         self.progress("the nominal form refitted", 1.0)
         return Search(problem, self.recordings.terms, self.solve, {Hypothesis(): base})
+
+    def _problem(self, scheme: Scheme, parts: int) -> tuple[SearchProblem, Candidate]:
+        """The search problem under a scheme, and the nominal form refitted: set up once."""
+        if (scheme, parts) not in self._problems:
+            setup = Setup(self.recordings, self.quality, scheme)
+            self._problems[scheme, parts] = setup.problem(parts)
+        return self._problems[scheme, parts]
 
     def _quality_by(self, search: Search) -> DataQuality | None:
         best = min(search, key=lambda c: c.total)

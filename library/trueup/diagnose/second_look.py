@@ -11,7 +11,7 @@ leave-one-out cross-validation. Source: M. Stone, Journal of the Royal Statistic
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,7 +86,7 @@ def _predicted(candidate: Candidate, yardstick: Yardstick) -> Predicted:
     for e in recordings.every:
         by_recording.setdefault(e.recording, []).append(e)
     fitted = {e.recording for e in recordings.adaptation}
-    whole = yardstick.predictor(candidate)
+    whole = yardstick.predictor(candidate.fit)
     errors = []
     for recording, episodes in by_recording.items():
         predictor = _without(candidate, recording, yardstick) if recording in fitted else whole
@@ -108,7 +108,7 @@ def _without(candidate: Candidate, recording: str, yardstick: Yardstick) -> Pred
         iterations=SECOND_LOOK.iterations,
         fixed=problem.fits.resting(at.values, at.hypothesis.effects),
     )
-    return yardstick.predictor(replace(candidate, fit=fit)) if np.isfinite(fit.cost) else None
+    return yardstick.predictor(fit) if np.isfinite(fit.cost) else None
 
 
 def _error(

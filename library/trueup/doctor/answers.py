@@ -94,10 +94,12 @@ def _of_log(log: Log, joint: int) -> list[Fast] | None:
 
 def _fast(log: Log, e: Episode, joint: int, at: int) -> Fast:
     """High differences of a joint's position, velocity and command, those that touch no missing
-    value."""
+    value, and no command at its limit, where it answers nothing."""
     observed = positions_and_velocities(log.plant, e)
     v = observed[:, len(log.plant.joints) + joint]
     v = v if np.isfinite(v).any() else np.zeros(len(v))
-    columns = np.diff(np.column_stack([observed[:, joint], v, e.commands[:, at]]), n=ORDER, axis=0)
+    low, high = log.plant.limits[0][at], log.plant.limits[1][at]
+    u = np.where((e.commands[:, at] > low) & (e.commands[:, at] < high), e.commands[:, at], np.nan)
+    columns = np.diff(np.column_stack([observed[:, joint], v, u]), n=ORDER, axis=0)
     known = columns[np.isfinite(columns).all(axis=1)]
     return known[:, 0], known[:, 1], known[:, 2]

@@ -105,6 +105,6 @@ def test_each_fitted_recording_is_predicted_by_a_fit_without_it():
     base, answer = predictions([search.base, friction], yardstick)
     assert base.errors.shape == answer.errors.shape == (len(episodes),)
     assert (answer.errors < 0.1 * base.errors).all()
-    whole = yardstick.predictor(friction)
+    whole = yardstick.predictor(friction.fit)
     fitted = module._error(whole, recordings.adaptation[:1], recordings.every)
     assert answer.errors[0] > fitted
