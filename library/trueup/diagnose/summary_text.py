@@ -59,7 +59,7 @@ def _doubts(document: Mapping[str, Any]) -> str:
     """What has to be mended in the log before the answer means anything; empty where nothing has.
     An older report has no findings."""
     faults = [
-        f"{f['finding'].replace('_', ' ')}{_of_channel(f)}"
+        _fault_words(f)
         for f in document.get("findings", [])
         if f["finding"] in MISLEADING and not f["applied"]
     ]
@@ -68,8 +68,11 @@ def _doubts(document: Mapping[str, Any]) -> str:
     )
 
 
-def _of_channel(finding: Mapping[str, Any]) -> str:
-    return f" of {finding['channel']}" if finding["channel"] else ""
+def _fault_words(finding: Mapping[str, Any]) -> str:
+    """A fault in words, with its channel: command sign of u."""
+    fault = finding["finding"].replace("_", " ")
+    words = f"{fault} samples" if fault == "stuck" else fault
+    return f"{words} of {finding['channel']}" if finding["channel"] else words
 
 
 def faults(document: Mapping[str, Any]) -> list[str]:
@@ -79,9 +82,9 @@ def faults(document: Mapping[str, Any]) -> list[str]:
     for f in document.get("findings", []):
         alike.setdefault((f["finding"], f["channel"]), []).append(f)
     sentences = []
-    for (fault, _), findings in alike.items():
+    for findings in alike.values():
         f = findings[0]
-        head = f"{fault.replace('_', ' ')}{_of_channel(f)}"
+        head = _fault_words(f)
         more = f"; {len(findings) - 1} more like it" if len(findings) > 1 else ""
         done = f"Done: {f['mend'][0].lower()}{f['mend'][1:]}" if f["applied"] else f["mend"]
         sentences.append(f"{head[0].upper()}{head[1:]}: {f['evidence']}{more}. {done}")
@@ -127,8 +130,8 @@ def _incomplete(document: Mapping[str, Any]) -> str:
     if left is None:
         return ""
     return (
-        f"; it certainly acts, its law is incomplete: {percent(left)} of the squared error of new "
-        "numbers is left over all recordings"
+        f"; it certainly acts, but its law is incomplete: over all recordings it leaves "
+        f"{percent(left)} of the squared error of new numbers"
     )
 
 

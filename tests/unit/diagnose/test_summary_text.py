@@ -296,3 +296,15 @@ def test_what_is_served_is_told_where_nothing_is_better_than_the_nominal_model()
     document = recorded(0.005)
     document["evidence"]["served"] = "nominal"
     assert any("has its numbers" in w for w in warnings(document))
+
+
+def test_a_part_that_certainly_acts_says_what_its_law_leaves():
+    text = sentence(report([friction()]) | {"incomplete": 0.393})
+    assert "it certainly acts, but its law is incomplete" in text
+    assert "39 % of the squared error of new numbers" in text
+    assert "certainly" not in sentence(report([friction()]) | {"incomplete": None})
+
+
+def test_stuck_samples_are_called_so():
+    told = warnings(recorded(0.005) | {"findings": [finding("stuck", channel="q")]})
+    assert told[0].startswith("Stuck samples of q: ")
