@@ -175,6 +175,11 @@ _COMMANDS = {
         "Show what is installed, and what a missing part is needed for.",
         LOCAL,
     ),
+    "identifiability": (
+        "identifiability:identifiability",
+        "Show what the recordings of a case can show, before anything is sought.",
+        LOCAL,
+    ),
     "chapter": (
         "chapter:chapter",
         "Reproduce the chapter's figures, beside the published digits.",

@@ -9,6 +9,7 @@ from functools import partial
 from trueup.canonical import Json
 from trueup.collect.bounds import Recorded
 from trueup.cores import in_parallel
+from trueup.diagnose.bounds import bounds
 from trueup.diagnose.by_prediction import (
     Yardstick,
     best_of_the_alike,
@@ -17,10 +18,11 @@ from trueup.diagnose.by_prediction import (
     predicts_worse,
 )
 from trueup.diagnose.data_quality import assess
-from trueup.diagnose.explain import alternative, bounds, estimates, parameter_table, shares
+from trueup.diagnose.explain import alternative, estimates, parameter_table, shares
 from trueup.diagnose.explore import explore
 from trueup.diagnose.filtering import corrected
 from trueup.diagnose.final_refit import FinalRefit, final_refit
+from trueup.diagnose.identifiability import identifiability
 from trueup.diagnose.locate import locate
 from trueup.diagnose.measure import Gap, measure
 from trueup.diagnose.model_selection import Choice, agreeing, select
@@ -164,7 +166,7 @@ def diagnose(
         predictor = nearest or nominal_predictor(plant, same, yardstick)
         gap = measured(predictor, validation, noise, seed)
     progress("what the data speak against", 0.0)
-    excluded, unexcited = bounds(search, choice.winner, plant)
+    excluded, unexcited = bounds(search, choice, plant, recordings.criteria.alike)
     experiment = next_experiment(plant, quality, search, choice, Recorded.of(plant, adaptation))
     changes, minima = patch(predictor), refit.answer.minima
     share = shares(search, choice, nominal)
@@ -184,6 +186,7 @@ def diagnose(
         else {},
         excluded=excluded,
         unexcited=unexcited,
+        shown=identifiability(recordings, problem),
         where=locate(plant, search, choice.winner, nominal, adaptation, validation),
         experiment=experiment,
         episodes=episodes,

@@ -1,28 +1,24 @@
-"""Explain: estimates with intervals, each effect's share of the gap, what the data speak against,
-what they could not show."""
+"""Explain: estimates with intervals, and each effect's share of the gap."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial, singledispatch
+from functools import singledispatch
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
-from trueup.cores import in_parallel
 from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.data_quality import DataQuality
 from trueup.diagnose.intervals import covariance, intervals
 from trueup.diagnose.model_selection import Choice
-from trueup.diagnose.search import Search, has_already
-from trueup.diagnose.tuning import DATA_QUALITY, EVIDENCE
+from trueup.diagnose.search import Search
+from trueup.diagnose.tuning import DATA_QUALITY
 from trueup.episode.layout import Field
 from trueup.fit.fitter import Fitter
 from trueup.fit.free_numbers import Directions
 from trueup.fit.rollout_fit import TWO_SIDED, RolloutFit
-from trueup.fit.screening import Screening, screen
 from trueup.model.block import joint, kind
 from trueup.model.corrected import Corrected
 from trueup.model.dynamics import CompiledTree, Dynamics
@@ -32,37 +28,6 @@ from trueup.model.tree import SLIDE
 
 Array = NDArray[np.float64]
 FORCES = (Scale.ACCELERATION, Scale.DRAG, Scale.CUBIC, Scale.STIFFNESS, Scale.DAMPING)
-
-
-@dataclass(frozen=True, slots=True)
-class Bound:
-    """What the data say of one effect that was not found: how large it may be, or why they cannot
-    tell."""
-
-    effect: str
-    joint: str | None
-    parameter: str
-    value: float | None
-    falls: bool
-    unit: str
-    why: str
-
-    def document(self) -> dict[str, Json]:
-        """The bound as JSON, a field of the report."""
-        named: dict[str, Json] = {
-            "effect": self.effect,
-            **({"joint": self.joint} if self.joint else {}),
-        }
-        if self.value is None:
-            return {**named, "why": self.why}
-        side = "above" if self.falls else "below"
-        return {
-            **named,
-            "parameter": self.parameter,
-            side: self.value,
-            "unit": self.unit,
-            "confidence": 0.95,
-        }
 
 
 def unit(scale: Scale, plant: Plant, joint: int = 0) -> str:
@@ -286,60 +251,3 @@ def alternative(plant: Plant, search: Search, rival: Candidate) -> Json:
         "effects": estimates(minima, rival.fit, search.problem.fitter, plant, {}),
         "parameters": parameter_table(plant, search.problem.fitter.directions, minima, rival.fit),
     }
-
-
-def bounds(search: Search, winner: Candidate, plant: Plant) -> tuple[list[Bound], list[Bound]]:
-    """What the data say of each effect that the answer does not have: the bounds, and those
-    without one, which say why."""
-    terms = [t for t in search.terms if not has_already(winner.hypothesis, t)]
-    problem, data, fit, derivatives = search.problem, search.problem.adaptation, winner.fit, None
-    if problem.strategy.robot:  # where terms were screened is enough: every joint has its own
-        near = problem.short_fit(fit)
-        data, fit, derivatives = problem.short, near.fit, near.derivatives
-    expect = partial(screen, problem.fitter, data, fit)
-    every = list(
-        in_parallel(lambda t: _bound(search, expect(t, derivatives), fit, t, plant), terms)
-    )
-    return [b for b in every if b.value is not None], [b for b in every if b.value is None]
-
-
-def _bound(search: Search, screened: Screening, fit: RolloutFit, term: str, plant: Plant) -> Bound:
-    effect, fitter, at = kind(term), search.problem.fitter, joint(term)
-    name, where = effect.name, plant.joint_name(at) if plant.names_joints else None
-    error = EVIDENCE.bound_errors * screened.error * np.sqrt(max(fit.reduced_chi_square, 1.0))
-    number = effect.params[0]
-    factor = in_units(number.scale, plant, at)
-    starts = np.array(
-        [max(abs(s[0]), abs(s[1]) if effect.periodic else 0.0) for s in effect.starts]
-    ) * fitter.unit(term, number.scale)
-    measure = unit(number.scale, plant, at)
-    if effect.falls:
-        ruled_out = screened.factor + error < EVIDENCE.ruled_out
-        order = np.argsort(starts)  # the strongest first
-        last = int(np.argmin(np.append(ruled_out[order], False)))
-        value = float(starts[order][last - 1]) * factor if last else None
-        return Bound(name, where, number.name, value, True, measure, "" if last else _blind(effect))
-    limits = (np.abs(screened.factor) + error) * starts
-    if (
-        effect.zoomed
-    ):  # small ones do not grow in proportion: what would have been seen whole bounds
-        limits = np.where(limits < starts, starts, np.inf)
-    shapes: dict[tuple[float, ...], float] = {}
-    for s, limit, start in zip(effect.starts, limits, starts, strict=True):
-        if start > 0.0:  # the others have none of the number that is bounded
-            shape = s if effect.periodic else s[1:]
-            shapes[shape] = min(
-                shapes.get(shape, np.inf),
-                limit if limit <= EVIDENCE.linear_reach * start else np.inf,
-            )
-    # of the shapes that would have shown
-    sound = [limit for limit in shapes.values() if np.isfinite(limit)]
-    if not sound:
-        return Bound(name, where, number.name, None, False, measure, _blind(effect))
-    return Bound(name, where, number.name, float(max(sound)) * factor, False, measure, "")
-
-
-def _blind(effect: type[Effect]) -> str:
-    """The effect's own word on the data that cannot show it."""
-    text = (effect.__doc__ or "").split("Blind:")[-1]
-    return " ".join(text.split())

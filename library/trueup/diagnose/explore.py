@@ -55,6 +55,14 @@ def explore(
     return Explored(search, quality, exploration.ramps_leave)
 
 
+def unexplored(
+    recordings: Recordings, quality: DataQuality, progress: Progress = lambda _stage, _part: None
+) -> Search:
+    """The search with which an exploration begins: the nominal form refitted, and nothing else."""
+    exploration = _Exploration(recordings, quality, progress, in_threads)
+    return exploration.first()
+
+
 class _Exploration:
     """One search of recordings, by what is known of the quality of their data."""
 
@@ -90,6 +98,10 @@ class _Exploration:
                 break
         assert best is not None
         return best, self._quality_by(best)
+
+    def first(self) -> Search:
+        """The search under the likeliest scheme, before anything is sought."""
+        return self._begin(self._schemes()[0], 1)
 
     def _schemes(self) -> list[Scheme]:
         """The schemes of integration, the likelier first; commands whose hold nobody declared as
@@ -171,6 +183,8 @@ class _Exploration:
         explains = not _left(search) > SEARCH.hopeless_pair
         if self.strategy.thorough and largest == PAIR and explains:
             leaders = self._exchanged(search, leaders)
+        if self.strategy.late_topics:
+            leaders = self._beside_late_topics(search, leaders)
         for c in leaders[: min(2, effort.parents)]:
             if self.strategy.robot:
                 search.eliminate(c)
@@ -227,6 +241,26 @@ class _Exploration:
             parts, search.terms, most=SEARCH.exchanged, fitted=self.effort.fitted
         )
         return sorted([*leaders, *self._converged(search, generation)], key=lambda c: c.total)
+
+    def _beside_late_topics(self, search: Search, leaders: list[Candidate]) -> list[Candidate]:
+        """The best, with those to which a late topic was added, and another effect to those that
+        have one; where that does plainly better, each of the other effects may give way to another,
+        for it was chosen without."""
+        late = [t for t in search.terms if kind(t).late]
+        if not leaders or any(self._is_enough(c, search) for c in leaders):
+            return leaders
+        with_late = [c for c in leaders[:2] if any(t in late for t in c.hypothesis.effects)]
+        without = [c for c in leaders[:2] if c not in with_late]
+        generation = search.extend(without, late)
+        generation += search.extend(with_late, search.terms, most=SEARCH.exchanged)
+        generation = self._converged(search, sorted(generation, key=lambda c: c.total))
+        if generation and generation[0].total < SEARCH.beside_late * leaders[0].total:
+            best = generation[0]
+            others = [t for t in best.hypothesis.effects if not kind(t).late]
+            parts = [search.fitted(best.hypothesis.without(t), best) for t in others]
+            exchanged = search.extend(parts, search.terms, most=SEARCH.exchanged)
+            generation += self._converged(search, exchanged)
+        return sorted([*generation, *leaders], key=lambda c: c.total)
 
     def _acts_everywhere(self, candidate: Candidate) -> bool:
         return self.strategy.robot and len(candidate.hypothesis.effects) > PAIR

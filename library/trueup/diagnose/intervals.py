@@ -75,9 +75,7 @@ def half_widths(fit: RolloutFit, other: RolloutFit) -> dict[tuple[str, str], flo
 def covariance(fit: RolloutFit) -> Array:
     """Covariance of a fit's free numbers, `(free, free)`, scaled so that 1.96 standard errors are
     half an interval."""
-    rest = np.array([t == "" or kind(t).zoomed != n for t, n in fit.free.names])
-    inverse = np.zeros((len(rest), len(rest)))
-    inverse[np.ix_(rest, rest)] = _inverse(fit.information[np.ix_(rest, rest)])
+    inverse = inverse_information(fit)
     spread = inverse * max(fit.reduced_chi_square, 1.0)
     if fit.reduced_chi_square <= SELECTION.adequate:
         return spread
@@ -97,6 +95,15 @@ def covariance(fit: RolloutFit) -> Array:
             )
             spread = spread * wider[:, None] * wider
     return spread
+
+
+def inverse_information(fit: RolloutFit) -> Array:
+    """Covariance of a fit's free numbers where noise is all that is left, `(free, free)`; 0 for a
+    number that is sought on a grid."""
+    rest = np.array([t == "" or kind(t).zoomed != n for t, n in fit.free.names])
+    inverse = np.zeros((len(rest), len(rest)))
+    inverse[np.ix_(rest, rest)] = _inverse(fit.information[np.ix_(rest, rest)])
+    return inverse
 
 
 def _inverse(information: Array) -> Array:

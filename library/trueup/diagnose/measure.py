@@ -86,7 +86,7 @@ class Gap:
 
 def squared_errors(predictor: Predictor, windows: Sequence[Windows], motion: Array) -> Array:
     """Mean squared normalised error of each window of some episodes, `(windows,)`."""
-    return np.asarray(_by_channel(predictor, windows, motion).mean(axis=1))
+    return np.asarray(by_channel(predictor, windows, motion).mean(axis=1))
 
 
 def knows_beginnings(model: Predictor) -> bool:
@@ -143,7 +143,7 @@ def windows_of(
     return every
 
 
-def _by_channel(predictor: Predictor, windows: Sequence[Windows], motion: Array) -> Array:
+def by_channel(predictor: Predictor, windows: Sequence[Windows], motion: Array) -> Array:
     """Mean squared normalised error of each window and observed channel, `(windows, channels)`."""
     return np.concatenate([_of_episode(predictor, w, motion) for w in windows])
 
@@ -183,7 +183,7 @@ def measure(
     horizon = plant.horizon_s
     begun = knows_beginnings(corrected)
     windows = windows_of(plant, episodes, horizon, beginnings=begun)
-    tables = [_by_channel(p, windows, motion) for p in (nominal, same_numbers, refitted, corrected)]
+    tables = [by_channel(p, windows, motion) for p in (nominal, same_numbers, refitted, corrected)]
     before, same, parameters, after = (t.mean(axis=1) for t in tables)
     floor = np.concatenate(
         [_floor(corrected, e, horizon, motion, noise, rng, begun) for e in episodes]

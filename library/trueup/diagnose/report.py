@@ -9,9 +9,11 @@ import numpy as np
 
 import trueup
 from trueup.canonical import Json
+from trueup.diagnose.bounds import Bound
 from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.data_quality import DataQuality
-from trueup.diagnose.explain import Bound, counted
+from trueup.diagnose.explain import counted
+from trueup.diagnose.identifiability import Identifiability
 from trueup.diagnose.measure import Gap
 from trueup.diagnose.model_selection import Choice, Conclusion
 from trueup.diagnose.next_experiment import Experiment
@@ -53,6 +55,7 @@ def report(
     parameters: Mapping[str, Json],
     excluded: Sequence[Bound],
     unexcited: Sequence[Bound],
+    shown: Identifiability,
     where: Mapping[str, Json],
     experiment: Experiment | None,
     episodes: Sequence[Episode],
@@ -90,6 +93,7 @@ def report(
         ],
         "excluded": [b.document() for b in excluded],
         "not_excited": [b.document() for b in unexcited],
+        "identifiability": shown.document(),
         "parameters": dict(parameters),
         **({"mjcf": patch.document()} if plant.family == "mjcf" else {}),
         "where": dict(where),

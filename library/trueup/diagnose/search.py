@@ -20,7 +20,6 @@ from trueup.diagnose.search_problem import SearchProblem
 from trueup.diagnose.tasks import Converge, Fit, Screen, Solve, in_threads
 from trueup.diagnose.tuning import SEARCH
 from trueup.fit.rollout_fit import RolloutFit, Start
-from trueup.fit.screening import screen
 from trueup.model.block import joint as joint_of
 from trueup.model.block import kind
 from trueup.model.effect import Port, effects
@@ -108,27 +107,18 @@ class Search:
         self, parent: Candidate, names: Sequence[str], most: int
     ) -> list[tuple[str, np.ndarray]]:
         """The terms to try, with the cost that a linear model expects of each of their initial
-        guesses, the most promising first.
-
-        On short windows: there it reaches further, for no error has grown yet.
-        """
+        guesses, the most promising first."""
         problem = self.problem
         wanted = [
             (n, parent.hypothesis | n) for n in names if not has_already(parent.hypothesis, n)
         ]
         rest = [n for n, h in wanted if h not in self.candidates and problem.fitter.has_room(h)]
-        near = problem.short_fit(parent.fit)
-        expect = partial(screen, problem.fitter, problem.short, near.fit)
-        new = [n for n in rest if n not in near.expected]
-        screened = in_parallel(
-            lambda name: expect(name, near.derivatives, problem.guesses(name)).cost, new
-        )
-        near.expected.update(zip(new, screened, strict=True))
-        order = [rest[i] for i in np.argsort([near.expected[n].min() for n in rest], kind="stable")]
+        screened = problem.screened(parent.fit, rest)
+        order = [rest[i] for i in np.argsort([screened[n].cost.min() for n in rest], kind="stable")]
         if most:
             evident = [n for n in order if n in problem.evident]
             order = evident + _spread([n for n in order if n not in evident], most)
-        return [(n, near.expected[n]) for n in order]
+        return [(n, screened[n].cost) for n in order]
 
     def suspected(self, parent: Candidate, here: int, others: int) -> list[str]:
         """So many terms at the joint where a linear model expects most of one, and so many of the

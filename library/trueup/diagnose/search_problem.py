@@ -8,12 +8,13 @@ arguments alone, so another process that has the episodes can do them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 
+from trueup.cores import in_parallel
 from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.spatial_periods import PeriodicGuess
 from trueup.diagnose.strategy import Strategy
@@ -23,6 +24,7 @@ from trueup.fit.fitter import Fitter
 from trueup.fit.multiple_shooting import estimate_starts
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.fit.rollouts import Derivatives
+from trueup.fit.screening import Screening, screen
 from trueup.model.block import kind
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.series import Scheme, Series
@@ -30,13 +32,13 @@ from trueup.model.series import Scheme, Series
 
 @dataclass(frozen=True, slots=True)
 class ShortFit:
-    """A parent's fit on short windows, the derivatives that its extensions may begin with, and the
-    cost that a linear model expects of each initial guess of a term, by term."""
+    """A parent's fit on short windows, the derivatives that its extensions may begin with, and what
+    a linear model expects of a term, by term."""
 
     parent: RolloutFit
     fit: RolloutFit
     derivatives: Derivatives | None
-    expected: dict[str, np.ndarray]
+    screened: dict[str, Screening]
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +102,28 @@ class SearchProblem:
             known = ShortFit(parent, fit, derivatives, {})
             self._short_fits[parent.hypothesis] = known
         return known
+
+    def screened(self, parent: RolloutFit, names: Sequence[str]) -> dict[str, Screening]:
+        """What a linear model expects of terms beside a parent, each worked out once.
+
+        On short windows: there it reaches further, for no error has grown yet.
+        """
+        near = self.short_fit(parent)
+        new = [n for n in names if n not in near.screened]
+        expect = partial(screen, self.fitter, self.short, near.fit)
+        screenings = in_parallel(lambda n: expect(n, near.derivatives, self.guesses(n)), new)
+        near.screened.update(zip(new, screenings, strict=True))
+        return {n: near.screened[n] for n in names}
+
+    def shown_freely(
+        self, parent: RolloutFit, data: Sequence[Series], derivatives: Derivatives | None = None
+    ) -> Callable[[str], Screening]:
+        """What a linear model expects of a term beside a parent whose windows may start elsewhere,
+        even where fits hold them: a bias that every start could take up is not shown."""
+        held = self.fitter.held
+        fitter = self.fitter.freed() if held else self.fitter
+        kept = None if held else derivatives
+        return lambda of: screen(fitter, data, parent, of, kept)
 
     def guesses(self, of: str) -> Sequence[Sequence[float]]:
         """Initial guesses of a term, in units of its numbers' scales."""

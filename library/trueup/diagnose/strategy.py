@@ -60,6 +60,7 @@ class Strategy:
     in_pieces           whether the starts of windows are found on pieces of them, since a long
                         window from a wrong start ends far away
     most_effects        how many effects a composition may have
+    late_topics         whether a topic may be late beside so many effects
     physical            whether the episodes are a machine's
     """
 
@@ -70,6 +71,7 @@ class Strategy:
     horizon_windows: bool
     in_pieces: bool
     most_effects: int
+    late_topics: bool
     physical: bool
 
 
@@ -93,6 +95,7 @@ def _of_joint(_: CompiledFamily, criteria: SelectionCriteria) -> Strategy:
         horizon_windows=criteria.of_machine,
         in_pieces=False,
         most_effects=criteria.most_effects,
+        late_topics=criteria.of_machine,
         physical=criteria.of_machine,
     )
 
@@ -107,5 +110,6 @@ def _of_robot(dynamics: CompiledTree, criteria: SelectionCriteria) -> Strategy:
         horizon_windows=True,
         in_pieces=True,
         most_effects=PAIR,
+        late_topics=False,
         physical=criteria.of_machine,
     )

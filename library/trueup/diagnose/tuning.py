@@ -230,6 +230,9 @@ class SearchTuning:
     alias_rounds: int = number(
         2, "rounds", "In which aliases of the answer are tried: a better one may have another."
     )
+    beside_late: float = number(
+        0.9, "of the cost", "Where a late topic leaves less, effects are chosen again beside it."
+    )
     plainly_better: float = number(
         0.6,
         "of the cost",
@@ -312,6 +315,12 @@ class EvidenceTuning:
         1.5, "times an initial guess", "Up to there what was computed at the guess is believed."
     )
     ruled_out: float = number(0.5, "of a limit's whole effect", "A limit below is ruled out.")
+    narrow: float = number(0.1, "of a number", "An interval no wider: it is identifiable.")
+    wide: float = number(1.0, "of a number", "An interval no wider: it is shown, but weakly.")
+    tied: float = number(0.95, "correlation", "Estimates closer to one than that are tied.")
+    plain: float = number(
+        0.2, "of a usual size", "Where so little of an effect shows, it is plain."
+    )
     stride_s: float = number(
         0.1, "s", "Over which residuals are taken: one place's error is not carried to the next."
     )

@@ -91,6 +91,12 @@ class Rollouts:
         held.held = True
         return held
 
+    def freed(self) -> Self:
+        """A copy whose windows start where they fit best."""
+        free = copy(self)
+        free.held = False
+        return free
+
     def unit(self, of: str, scale: Scale) -> float:
         """The value of one unit of a scale at a term's joint."""
         return self.scales[joint(of)].of(scale)

@@ -28,11 +28,17 @@ RIDGE = 1e-9  # of a determined number's information
 @dataclass(frozen=True, slots=True)
 class Screening:
     """For each initial guess of an effect `(guesses,)`: the cost expected once it acts, the factor
-    on it, and that factor's standard error."""
+    on it, and that factor's standard error.
+
+    `like` is the free number of the parent that changes the rollouts most like the effect, -1 where
+    there is none, `likeness` the correlation of their estimates.
+    """
 
     cost: Array
     factor: Array
     error: Array
+    like: NDArray[np.int64]
+    likeness: Array
 
 
 def screen(
@@ -60,13 +66,19 @@ def screen(
     room = BLOCK - 1 - own if task.keeps else rollouts.room() - own
     if room <= 0:
         n = len(guesses)
-        return Screening(np.full(n, parent.cost), np.zeros(n), np.full(n, np.inf))
+        return Screening(
+            np.full(n, parent.cost),
+            np.zeros(n),
+            np.full(n, np.inf),
+            np.full(n, -1),
+            np.zeros(n),
+        )
     parts = [
         _screened(rollouts, task, parent, effect, guesses[i : i + room], derivatives)
         for i in range(0, len(guesses), room)
     ]
-    cost, factor, error = np.concatenate(parts, axis=1)
-    return Screening(rounded(cost), factor, error)
+    cost, factor, error, like, likeness = np.concatenate(parts, axis=1)
+    return Screening(rounded(cost), factor, error, like.astype(np.int64), likeness)
 
 
 def _screened(
@@ -77,8 +89,7 @@ def _screened(
     guesses: Sequence[Sequence[float]],
     derivatives: Derivatives | None,
 ) -> Array:
-    """Expected cost, factor and its error `(3, guesses)`, of no more guesses than there are
-    lanes."""
+    """The rows of a Screening `(5, guesses)`, of no more guesses than there are lanes."""
     n, k = len(task.free.rows), len(guesses)
     lanes = rollouts.lanes(task, parent.values, task.keeps, k)
     off = list(rollouts.block.rows(effect))
@@ -90,7 +101,7 @@ def _screened(
     parts = {key: np.where(np.abs(g) < RAN_AWAY, g, 0.0) for key, g in parts.items()}
     equations = NormalEquations(parts, {key: np.zeros(0) for key in parts}, np.zeros(0), n + k)
     normal, gradient = equations.reduced(RIDGE)
-    expected = np.array([[parent.cost] * k, [0.0] * k, [np.inf] * k])
+    expected = np.array([[parent.cost] * k, [0.0] * k, [np.inf] * k, [-1.0] * k, [0.0] * k])
     for i in range(k):
         columns = [*range(n), n + i]
         diagonal = np.diag(normal)[columns]
@@ -107,5 +118,17 @@ def _screened(
             adapted = np.linalg.lstsq(normal[np.ix_(rest, rest)], pulled, rcond=None)[0]
             gained = 2.0 * gradient[n + i] - normal[n + i, n + i] + float(pulled @ adapted)
         error = np.sqrt(inverse_part[-1, -1]) / size[-1]
-        expected[:, i] = parent.cost - gained, by[-1] / size[-1], error
+        like, likeness = _likest(np.asarray(inverse_part))
+        expected[:, i] = parent.cost - gained, by[-1] / size[-1], error, like, likeness
     return expected
+
+
+def _likest(covariance: Array) -> tuple[int, float]:
+    """Which of the other numbers of a covariance the last one is confused with most, and their
+    correlation."""
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    correlations = np.abs(covariance[-1, :-1] / deviation[:-1] / deviation[-1])
+    if not len(correlations):
+        return -1, 0.0
+    like = int(np.argmax(correlations))
+    return like, float(correlations[like])

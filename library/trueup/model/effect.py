@@ -99,7 +99,9 @@ class Effect(ABC):
     wider. `zoomed` is one between whose corners the error is flat: ever finer grids find it.
     `counted` ones are found in the samples themselves, `periodic` ones by a scan along the travel;
     one that is the `same_as` another on every log is fitted as that one, and told as an alternative
-    to it. What a state was before the log began is estimated, in units of its `memory` scale, from
+    to it. A `late` one makes a topic late, as drives and buses of any machine may besides whatever
+    else acts: it is tried beside the best composition of a machine however large that is. What a
+    state was before the log began is estimated, in units of its `memory` scale, from
     where it `begins`. Where the effect `hides_velocity`, the log shows the velocity with the first
     state added, and the second is the velocity of the sample before.
     """
@@ -126,6 +128,7 @@ class Effect(ABC):
     # Its first two numbers are a sine's and a cosine's, its third their spatial period
     periodic: ClassVar[bool] = False
     same_as: ClassVar[str] = ""
+    late: ClassVar[bool] = False
     hides_velocity: ClassVar[bool] = False
     # Of the samples: a smaller first number is what integration does, and no effect
     least_periods: ClassVar[float] = 0.0

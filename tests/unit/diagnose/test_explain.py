@@ -7,7 +7,8 @@ import pytest
 
 from tests.support.robots import arm_plant
 from tests.support.simulated import recorded_twice as recorded
-from trueup.diagnose.explain import Bound, _bound, counted, in_units, unit
+from trueup.diagnose.bounds import Bound, _bound
+from trueup.diagnose.explain import counted, in_units, unit
 from trueup.fit.screening import Screening
 from trueup.model.effect import Scale, effects
 
@@ -25,7 +26,7 @@ def arm(tmp_path_factory):
 def bound(effect, cost, factor, error, *, reduced_chi_square=1.0):
     """The bound of an effect whose guesses were screened so."""
     guesses = len(effects()[effect].starts)
-    screening = Screening(*(np.broadcast_to(x, guesses) for x in (cost, factor, error)))
+    screening = Screening(*(np.broadcast_to(x, guesses) for x in (cost, factor, error, -1, 0.0)))
     search = SimpleNamespace(problem=SimpleNamespace(fitter=SimpleNamespace(unit=lambda *_: 2.0)))
     fit = SimpleNamespace(reduced_chi_square=reduced_chi_square)
     plant = SimpleNamespace(

@@ -15,6 +15,7 @@ class ActuatorDelay(Effect):
     name = "actuator_delay"
     port = Port.COMMAND
     category = "timing"
+    late = True
     params = (Number("delay", Scale.TIME, 0.0, 0.0, 1.0),)
     states = ("past",)
     begins = ("u",)

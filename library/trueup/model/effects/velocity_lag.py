@@ -22,6 +22,7 @@ class VelocityLag(Effect):
     port = Port.OBSERVATION
     order = 4
     category = "observation"
+    late = True
     in_mjcf = "filter the velocity sensor's reading"
     params = (Number("time_constant", Scale.TIME, 0.0, 0.0, 1.0),)
     states = ("behind", "before")
