@@ -28,6 +28,8 @@ ALL = (
     "splitting",
     "processors",
     "noises",
+    "nuisances",
+    "machines",
     "continual",
 )
 

@@ -117,6 +117,8 @@ def _screened(
             rest, pulled = columns[:-1], gradient[columns[:-1]] - normal[columns[:-1], n + i]
             adapted = np.linalg.lstsq(normal[np.ix_(rest, rest)], pulled, rcond=None)[0]
             gained = 2.0 * gradient[n + i] - normal[n + i, n + i] + float(pulled @ adapted)
+        if not inverse_part[-1, -1] > 0.0:  # by rounding: it is told from nothing
+            continue
         error = np.sqrt(inverse_part[-1, -1]) / size[-1]
         like, likeness = _likest(np.asarray(inverse_part))
         expected[:, i] = parent.cost - gained, by[-1] / size[-1], error, like, likeness

@@ -133,10 +133,10 @@ def run(
     machine: Machine, planned: Array, timestep_s: float, parts: int, sigma: tuple[float, float],
     rng: np.random.Generator,
     start: tuple[float, float] = (0.0, 0.0), warm_up: int = 0, feedback: Feedback | None = None,
-    law: NoiseModel = WHITE,
+    law: NoiseModel = WHITE, *, ramped: bool = False,
 ) -> Run:  # fmt: skip
     """Run a machine on planned commands, or on references with feedback, `(warm_up + n,)`. The log
-    begins after the warm-up.
+    begins after the warm-up. Planned commands that are `ramped` are lines between their samples.
 
     `parts` fine steps make a sample; with one, the step is the plain semi-implicit one of a
     discrete-time plant.
@@ -152,6 +152,7 @@ def run(
         present, np.ascontiguousarray(planned),
         timestep_s, parts,
         noise, lost, start[0], start[1], warm_up, feedback is not None, gains[0], gains[1],
+        ramped and not feedback,
     )  # fmt: skip
     kept = slice(warm_up, total)
     return Run(
@@ -307,7 +308,7 @@ def observed_velocity(n, has, m, v, gained, h):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def _run(  # type: ignore[no-untyped-def]
     kind, k, c, b, low, high, limit, n, has, planned, dt, parts, noise, lost, q, v, warm_up,
-    closed, kp, kd,
+    closed, kp, kd, ramped,
 ):  # fmt: skip
     total, fine = len(planned), parts > 1
     h = dt * (1.0 + n[S_SKEW]) / parts
@@ -325,9 +326,12 @@ def _run(  # type: ignore[no-untyped-def]
         observed[i, 0], observed[i, 1] = seen_q, seen_v
         u = kp * (planned[i] - seen_q) - kd * seen_v if closed else planned[i]
         issued[i] = min(max(u, low), high)
+        rise = 0.0
+        if ramped and i + 1 < total:
+            rise = min(max(planned[i + 1], low), high) - issued[i]
         for part in range(parts):
             j = i * parts + part
-            fine_u[j] = issued[i]
+            fine_u[j] = issued[i] + rise * part / parts
             u = driven(n, has, m, arriving(n, fine_u, j, h), h, fine, limit)
             # forces on the joint at rest of its friction
             x = q + 0.5 * h * v if fine else q

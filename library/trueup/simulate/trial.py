@@ -97,6 +97,7 @@ class JointBench:
     bounds: tuple[float, float] | None = None  # of the command, where they are not +-limit
     sigma: tuple[float, float] | None = None  # of position and velocity, instead of `noise`
     law: NoiseModel = WHITE  # of that noise
+    ramped: bool = False  # whether commands are lines between their samples
     unshifted: tuple[float, float, float] | None = None  # k, c, b of machines that are not shifted
 
     @property
@@ -226,6 +227,7 @@ def draw(
                 bench.warm_up,
                 bench.feedback,
                 bench.law,
+                ramped=bench.ramped,
             ),
         )
         for p in _plans(bench, size, rng)
@@ -280,6 +282,7 @@ def _record(bench: JointBench, machine: Machine, plan: Sequence[Plan]) -> list[R
             p.start,
             bench.warm_up,
             bench.feedback,
+            ramped=bench.ramped,
         )
         for p in plan
     ]
