@@ -18,7 +18,7 @@ from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.data_quality import DataQuality
 from trueup.diagnose.filtering import corrected
 from trueup.diagnose.measure import Gap, held_out_error
-from trueup.diagnose.model_selection import Choice, Conclusion
+from trueup.diagnose.model_selection import Choice, Conclusion, numbers_of
 from trueup.diagnose.problem_setup import Recordings
 from trueup.diagnose.search import Search
 from trueup.diagnose.tuning import SELECTION
@@ -84,16 +84,23 @@ def nominal_predictor(plant: Plant, same_numbers: Predictor, yardstick: Yardstic
 
 
 def best_of_the_alike(choice: Choice, yardstick: Yardstick) -> Choice:
-    """The choice, its answer exchanged for that alternative which predicts much better."""
+    """The choice, its answer exchanged for that alternative which predicts much better; on a
+    machine also for one that predicts about as well with fewer numbers.
+
+    What a simulator's log does not tell apart has its price for each number already.
+    """
     alike = [choice.winner, *choice.rivals[: SELECTION.most_measured]]
     if len(alike) == 1:
         return choice
-    errors = yardstick.errors(alike)
+    errors = np.array(yardstick.errors(alike))
     best = int(np.argmin(errors))
     if not errors[best] < SELECTION.much_better * errors[0]:
-        return choice
+        best = 0
+    if yardstick.recordings.criteria.of_machine:
+        near = np.flatnonzero(SELECTION.much_better * errors <= errors.min())
+        best = int(min(near, key=lambda i: (numbers_of(alike[i]), i != best)))
     others = (choice.winner, *(r for r in choice.rivals if r is not alike[best]))
-    return replace(choice, winner=alike[best], rivals=others)
+    return replace(choice, winner=alike[best], rivals=others if best else choice.rivals)
 
 
 def predicts_worse(gap: Gap) -> bool:

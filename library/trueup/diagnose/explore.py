@@ -23,6 +23,7 @@ from trueup.diagnose.search_problem import SearchProblem
 from trueup.diagnose.strategy import PAIR
 from trueup.diagnose.tasks import Solve, in_threads
 from trueup.diagnose.tuning import DATA_QUALITY, SEARCH, SETUP
+from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.block import kind
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.series import DECLARED, Scheme, refined
@@ -33,9 +34,9 @@ Progress = Callable[[str, float], None]
 @dataclass(frozen=True)
 class Explored:
     """The search under the scheme of integration that explains the episodes best; the quality of
-    the data, with the noise that its residuals show; and what the refitted nominal form leaves
-    where commands of undeclared hold are ramps, over what it leaves where they keep their values:
-    None where that was not compared."""
+    the data, with the noise that its residuals show; and what the refitted nominal form, or the
+    best composition, leaves where commands of undeclared hold are ramps, over what it leaves where
+    they keep their values: None where that was not compared."""
 
     search: Search
     quality: DataQuality
@@ -97,7 +98,35 @@ class _Exploration:
             if any(self._is_enough(c, search) for c in search):
                 break
         assert best is not None
+        otherwise = self._held_otherwise(best)
+        if otherwise is not None:
+            self._grow(otherwise, self._singles(otherwise))
+            if _least_total(otherwise) < _least_total(best):
+                best = otherwise
         return best, self._quality_by(best)
+
+    def _held_otherwise(self, best: Search) -> Search | None:
+        """A search with commands of undeclared hold as ramps where they were steps, or the other
+        way round, if the best composition, or the best effect alone, explains the episodes plainly
+        better so; None else.
+
+        An effect may have hidden the hold from the nominal form.
+        """
+        at, scheme = min(best, key=lambda c: c.total), best.problem.scheme
+        alone = min((c for c in best if len(c.hypothesis.effects) <= 1), key=lambda c: c.total)
+        other = replace(scheme, ramped=not scheme.ramped)
+        if not self._may_ramp(other) or self._is_enough(at, best):
+            return None
+        problem, _ = self._problem(other, 1)
+        tried = {c.hypothesis: c for c in (alone, at)}.values()
+        again = min(
+            (problem.fits.candidate(_again(problem, c.fit)) for c in tried), key=lambda c: c.total
+        )
+        if not is_plainly_better(again, at):
+            return None
+        leaves = again.total / max(at.total, 1e-300)
+        self.ramps_leave = leaves if other.ramped else 1.0 / max(leaves, 1e-300)
+        return self._begin(other, 1)
 
     def first(self) -> Search:
         """The search under the likeliest scheme, before anything is sought."""
@@ -117,14 +146,17 @@ class _Exploration:
     def _is_ramped(self, scheme: Scheme) -> bool:
         """Whether commands of undeclared hold are ramps: the nominal form must fit plainly better,
         on most windows. Samples that are thinned lie too close for it to matter."""
-        if not self.recordings.plant.undeclared_holds:
-            return False
-        if Setup(self.recordings, self.quality, scheme).thinned_by > 1:
+        if not self._may_ramp(scheme):
             return False
         _, keeps = self._problem(scheme, 1)
         _, rises = self._problem(replace(scheme, ramped=True), 1)
         self.ramps_leave = rises.total / max(keeps.total, 1e-300)
         return is_plainly_better(rises, keeps)
+
+    def _may_ramp(self, scheme: Scheme) -> bool:
+        """Whether a command's hold is undeclared, and samples lie so far apart that it matters."""
+        steps = Setup(self.recordings, self.quality, replace(scheme, ramped=False))
+        return bool(self.recordings.plant.undeclared_holds) and steps.thinned_by == 1
 
     def _begin(self, scheme: Scheme, parts: int) -> Search:
         """A new search, which has the nominal form refitted and nothing else yet."""
@@ -267,8 +299,9 @@ class _Exploration:
 
 
 def is_plainly_better(one: Candidate, other: Candidate) -> bool:
-    """Whether a fit leaves less than another by a good part, and on most windows."""
-    if not one.total < SEARCH.plainly_better * other.total:
+    """Whether a fit leaves less than another by a good part of what is not noise, and on most
+    windows."""
+    if not one.total - 1.0 < SEARCH.plainly_better * (other.total - 1.0):
         return False
     costs = [np.concatenate([c.fit.costs, c.check.costs]) for c in (one, other)]
     if len(costs[0]) != len(costs[1]):
@@ -293,8 +326,15 @@ def went_astray(search: Search) -> bool:
 def _is_promising(search: Search, best: Search) -> bool:
     """Whether the nominal form, or the best composition of another search, does much better under
     this search's scheme of integration."""
-    at, problem = min(best, key=lambda c: c.total).fit, search.problem
-    again = problem.fitter.fit(
+    at = min(best, key=lambda c: c.total).fit
+    again = _again(search.problem, at)
+    part = SEARCH.worth_following
+    return again.cost < part * at.cost or search.base.total < part * best.base.total
+
+
+def _again(problem: SearchProblem, at: RolloutFit) -> RolloutFit:
+    """A composition fitted once more in another problem, from where it is."""
+    return problem.fitter.fit(
         problem.adaptation,
         at.hypothesis,
         at.values,
@@ -302,8 +342,6 @@ def _is_promising(search: Search, best: Search) -> bool:
         iterations=SEARCH.fit_iterations,
         fixed=problem.fits.resting(at.values, at.hypothesis.effects),
     )
-    part = SEARCH.worth_following
-    return again.cost < part * at.cost or search.base.total < part * best.base.total
 
 
 def _least_total(search: Search) -> float:

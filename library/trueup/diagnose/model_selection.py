@@ -229,13 +229,17 @@ def complexity(c: Candidate) -> float:
     return sum(1.5 if kind(t).contains else 1.0 for t in c.hypothesis.effects)
 
 
+def numbers_of(c: Candidate) -> int:
+    """How many numbers a candidate's fit moves, what hidden states begin with among them."""
+    return len(c.fit.free.rows) + sum(len(s.memory) for s in c.fit.starts.values())
+
+
 def penalised(c: Candidate, spread: float) -> float:
     """Cost in units of what the best leaves, and a price for each free number.
 
     Source: G. Schwarz, Annals of Statistics 6 (1978).
     """
-    numbers = len(c.fit.free.rows) + sum(len(s.memory) for s in c.fit.starts.values())
-    return (c.fit.cost + c.check.cost) / spread + numbers * float(
+    return (c.fit.cost + c.check.cost) / spread + numbers_of(c) * float(
         np.log(c.fit.samples + c.check.samples)
     )
 

@@ -235,8 +235,8 @@ class SearchTuning:
     )
     plainly_better: float = number(
         0.6,
-        "of the cost",
-        "So much less the refitted nominal form leaves where commands are ramps; an effect of the "
+        "of the misfit beyond noise",
+        "So much less a fit leaves where commands are ramps; an effect of the "
         "command leaves a tenth less, a sampled analogue signal two thirds.",
     )
     on_most: float = number(0.75, "of the windows", "And it must leave less on so many of them.")

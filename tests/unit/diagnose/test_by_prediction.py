@@ -1,6 +1,7 @@
 """No model is served that predicts held-out recordings worse than the one it would replace."""
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,16 +25,23 @@ class Made:
     error: float
     total: float = 1.0
     reduced_chi_square: float = 5.0
+    numbers: int = 3
 
     @property
     def hypothesis(self):
         return Hypothesis((self.name,))
 
+    @property
+    def fit(self):
+        free = SimpleNamespace(rows=np.zeros(self.numbers - 1))
+        return SimpleNamespace(free=free, starts={"e": SimpleNamespace(memory={"x": 0.0})})
+
 
 class Errors:
     """A yardstick that knows errors."""
 
-    def __init__(self, candidates=(), base=None):
+    def __init__(self, candidates=(), base=None, *, of_machine=False):
+        self.recordings = SimpleNamespace(criteria=SimpleNamespace(of_machine=of_machine))
         self.search = type("Search", (), {"base": base, "__iter__": lambda _: iter(candidates)})()
 
     def errors(self, candidates):
@@ -51,6 +59,19 @@ def test_of_compositions_that_are_alike_the_one_that_predicts_much_better_is_the
     assert chosen.winner is second
     assert chosen.rivals == (first, third)
     assert best_of_the_alike(replace(choice, winner=Made("a", 0.21)), Errors()).winner.name == "a"
+
+
+def test_on_a_machine_fewer_numbers_that_predict_about_as_well_are_the_answer():
+    """A hidden state that starts anywhere may stand for what one number says."""
+    winding = Made("winding", 0.20, numbers=9)
+    plain, worse = Made("plain", 0.21, numbers=5), Made("worse", 0.3, numbers=4)
+    choice = Choice(Conclusion.EFFECT, winding, (worse, plain), 0.1)
+    chosen = best_of_the_alike(choice, Errors(of_machine=True))
+    assert chosen.winner is plain
+    assert chosen.rivals == (winding, worse)
+    assert best_of_the_alike(choice, Errors()) == choice
+    alone = replace(choice, rivals=(worse,))
+    assert best_of_the_alike(alone, Errors(of_machine=True)) == alone
 
 
 @pytest.mark.parametrize(
