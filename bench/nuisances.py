@@ -1,6 +1,6 @@
 """Blind trials under what recordings of real machines have besides an effect: noise that is
-coloured and has outliers, commands that are lines between samples, states that are stamped late,
-closed loops, gaps.
+coloured and has outliers, commands that are lines between samples, states that are stamped late and
+mended as the doctor says, closed loops, gaps.
 
 Machines of the second simulator, on tiers with noise: an oscillator, a pendulum, an axis in a loop.
 Each trial hides one effect, two, none, one beyond the catalogue, or one about as large as the
@@ -27,6 +27,9 @@ from tests.support.spoilt import as_recorded, gap
 from trueup.blindtrial.scoring import Answer, bound_holds, score_answer, score_intervals
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.indistinguishable import ALIASES
+from trueup.doctor.examine import examine
+from trueup.doctor.finding import Fault
+from trueup.doctor.mends import Shifted
 from trueup.episode.episode import Episode
 from trueup.fit.fitter import warm
 from trueup.model.plant import Plant
@@ -116,10 +119,11 @@ def recorded(trial: Trial) -> tuple[Plant, list[Episode], dict]:
     machine = draw(bench, list(trial.names), True, rng, gaps)
     plant = plant_of(bench)
     episodes = episodes_of(plant, machine)
-    late_s = 0.0
     if trial.nuisance == "late states":
         late_s = float(rng.uniform(*LATE_S))
-        episodes = [as_recorded(plant, e, late_s=late_s) for e in episodes]
+        stamped = [as_recorded(plant, e, late_s=late_s) for e in episodes]
+        mended_s = _advised_s(plant, stamped)
+        episodes = [as_recorded(plant, e, late_s=late_s - mended_s) for e in episodes]
     elif trial.nuisance == "gaps":
         episodes = gap(plant, episodes)
     label = {
@@ -132,6 +136,13 @@ def recorded(trial: Trial) -> tuple[Plant, list[Episode], dict]:
         "bait": None,
     }
     return plant, episodes, label
+
+
+def _advised_s(plant: Plant, episodes: list[Episode]) -> float:
+    """By how much the doctor advises to move the stamps of observations back [s]."""
+    late = [f for f in examine(plant, episodes) if f.fault is Fault.TOPIC_OFFSET]
+    mends = [m.late_s for f in late for m in f.mends if isinstance(m, Shifted)]
+    return mends[0] if mends else 0.0
 
 
 def scored(trial: Trial) -> Row:

@@ -108,7 +108,7 @@ def whole(
 ) -> Series:
     """An episode with windows that start at the `first` samples `(windows,)`, from where they
     `begin`, else from smoothed states."""
-    t = episode.t_s
+    t = since_the_recording_began(episode)
     h, steps = intervals(t, plant.timestep_s)
     observed = positions_and_velocities(plant, episode)
     resets = np.full(len(t), -1)
@@ -136,6 +136,16 @@ def whole(
         episode.period_s,
         plant.command_scales,
     )
+
+
+def since_the_recording_began(episode: Episode) -> Array:
+    """Times of an episode's samples `(samples,)` [s] since its recording began, of which it may be
+    a part: what drifts goes on drifting through a gap."""
+    if not episode.begins_s:
+        return episode.t_s
+    t = np.asarray(episode.begins_s + episode.t_s)
+    t.flags.writeable = False  # as an episode's: the kernel is compiled for one kind of array
+    return t
 
 
 def integral_of(issued: Array, t_s: Array) -> Array:
