@@ -3,21 +3,26 @@ beside fits of textbook friction by the same solver.
 
 Each machine's recordings are dealt into folds. A fold is put aside; of the rest every third
 recording compares and the others are fitted. Nothing of a fold is seen before it is predicted, in
-windows of the plant's horizon that start from the same filter for every model. `CASES=FOLDER` names
-the folder with case folders. `PUBLISH=1` keeps the tables for the pages.
+windows of the plant's horizon that start from the same filter for every model; of peers the
+numbers that they find are put into the nominal form. `CASES=FOLDER` names the folder with case
+folders, `ALONE=1` leaves out the peers. `PUBLISH=1` keeps the tables for the pages.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import subprocess
+import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from bench.peers.environment import HERE, peers_python
 from bench.report import publish
 from trueup.diagnose.case import read_case
 from trueup.diagnose.data_quality import assess
@@ -28,8 +33,10 @@ from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.block import kind, term
+from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
 from trueup.model.predictor import Nominal, Predictor
+from trueup.model.state import smoothed_states
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 FOLDS = 4
@@ -39,22 +46,25 @@ PLAIN = {
     "viscous, Coulomb, offset": ("coulomb_friction", "constant_force"),
     "load-dependent": ("load_dependent_friction",),
 }
+PEERS = {"mujoco.sysid": "joint_sysid", "FIGAROH": "joint_figaroh"}
+MODELS = "nominal", *PLAIN, *PEERS, "trueup"
+WINDOWS = 150  # at most that mujoco.sysid is given, evenly from all
+STEP_DIGITS = 6  # of a second
 ITERATIONS = 60
 
 
 @dataclass(frozen=True)
 class Fold:
-    """One fold: the answer, the errors of each model by channel in its unit, and the CPU time of
-    the diagnosis [s]."""
+    """One fold: the diagnosis and its answer, the errors of each model by channel in its unit, and
+    the CPU time of the diagnosis [s]."""
 
+    diagnosis: Diagnosis
     answer: str
-    errors: Mapping[str, Sequence[float]]
+    errors: dict[str, Sequence[float]]
     seconds: float
 
 
-def folds(
-    plant: Plant, episodes: Sequence[Episode]
-) -> Iterator[tuple[list[Episode], list[Episode]]]:
+def folds(episodes: Sequence[Episode]) -> Iterator[tuple[list[Episode], list[Episode]]]:
     """What is seen and what is put aside, fold by fold."""
     many = min(FOLDS, len(episodes))
     for i in range(many):
@@ -79,7 +89,7 @@ def measured(plant: Plant, seen: list[Episode], aside: list[Episode]) -> Fold:
         if predictor is not None:
             models[name] = predictor
     errors = {name: root_mean_square(model, aside) for name, model in models.items()}
-    return Fold(answer(diagnosis), errors, seconds)
+    return Fold(diagnosis, answer(diagnosis), errors, seconds)
 
 
 def plain(diagnosis: Diagnosis, effects: Sequence[str]) -> Predictor | None:
@@ -110,6 +120,68 @@ def plain(diagnosis: Diagnosis, effects: Sequence[str]) -> Predictor | None:
     return corrected(recordings.plant, quality, fit, problem.scheme, recordings.adaptation)
 
 
+def peers(seen: Mapping[str, tuple[Diagnosis, Sequence[Episode]]]) -> dict[str, dict[str, Any]]:
+    """What each peer answers to each fold, by peer and fold."""
+    python, answers = peers_python(), {}
+    with tempfile.TemporaryDirectory() as temporary:
+        cases = Path(temporary) / "cases"
+        cases.mkdir()
+        for name, (diagnosis, episodes) in seen.items():
+            _write(cases / f"{name}.npz", diagnosis.plant, episodes)
+        for peer, module in PEERS.items():
+            out = Path(temporary) / module
+            out.mkdir()
+            print(f"{peer} …", flush=True)
+            subprocess.run(
+                [python, "-m", f"bench.peers.{module}", cases, out],
+                check=True,
+                stdout=subprocess.DEVNULL,
+                cwd=HERE.parent,
+            )
+            answers[peer] = {n: json.loads((out / f"{n}.json").read_text()) for n in seen}
+    return answers
+
+
+def _write(file: Path, plant: Plant, episodes: Sequence[Episode]) -> None:
+    arrays = {}
+    for i, e in enumerate(episodes):
+        states = smoothed_states(plant, e)
+        t = np.arange(len(e.t_s)) * round(e.period_s, STEP_DIGITS)
+        columns = {
+            "t": t,
+            "u": plant.applied(e.commands)[:, 0],
+            "q": states[:, 0],
+            "v": states[:, 1],
+        }
+        arrays |= {f"{name}{i}": x for name, x in columns.items()}
+    samples = sum(len(e.t_s) for e in episodes)
+    window = max(2, round(plant.horizon_s / episodes[0].period_s))
+    about = {
+        "family": plant.family,
+        "parameters": dict(plant.nominal),
+        "step": round(episodes[0].period_s, STEP_DIGITS),
+        "window": window,
+        "every": max(1, samples // window // WINDOWS),
+        "recordings": len(episodes),
+    }
+    np.savez(file, about=json.dumps(about), **arrays)
+
+
+def of_numbers(diagnosis: Diagnosis, numbers: Mapping[str, float]) -> Predictor:
+    """The nominal form with a peer's numbers and its dry friction, started from a filter as every
+    other model."""
+    recordings, problem = diagnosis.recordings, diagnosis.search.problem
+    plant, fitter = recordings.plant, problem.fitter
+    values = diagnosis.search.base.fit.values.copy()
+    values[: len(plant.parameters)] = [numbers[name] for name in plant.nominal]
+    values[fitter.block.rows("coulomb_friction")[0]] = numbers["friction"]
+    fit = replace(
+        diagnosis.search.base.fit, hypothesis=Hypothesis(("coulomb_friction",)), values=values
+    )
+    quality = assess(plant, recordings.adaptation)
+    return corrected(plant, quality, fit, problem.scheme, recordings.adaptation)
+
+
 def root_mean_square(model: Predictor, episodes: Sequence[Episode]) -> list[float]:
     """RMS error of each channel, in its unit, over windows of the plant's horizon."""
     plant = model.plant
@@ -129,34 +201,41 @@ def answer(diagnosis: Diagnosis) -> str:
 
 def main() -> None:
     """Print and keep the tables."""
-    cases = sorted(
-        f for f in Path(os.environ.get("CASES", EXAMPLES)).iterdir() if (f / "plant.json").is_file()
-    )
-    table: dict[str, list[Fold]] = {}
-    rows = []
+    folder = Path(os.environ.get("CASES", EXAMPLES))
+    cases = [f for f in sorted(folder.iterdir()) if (f / "plant.json").is_file()]
+    rows, told = [], []
     for case in cases:
         plant, episodes = read_case(case)
-        names = [c.name for c in plant.layout.observations]
-        table[case.name] = []
-        for seen, aside in folds(plant, episodes):
-            fold = measured(plant, seen, aside)
-            table[case.name].append(fold)
-            print(f"{case.name}: {fold.answer}, {fold.seconds:.0f} s CPU", flush=True)
-            for model, errors in fold.errors.items():
-                print(f"    {model:<26}" + "".join(f"{e:>12.4g}" for e in errors), flush=True)
-        for i, channel in enumerate(names):
-            unit = plant.layout.observations[i].unit
-            means = {
-                model: float(np.sqrt(np.mean([f.errors[model][i] ** 2 for f in table[case.name]])))
-                for model in ("nominal", *PLAIN, "trueup")
-                if all(model in f.errors for f in table[case.name])
-            }
-            cells = [
-                f"{means[m]:.3g}" if m in means else "–" for m in ("nominal", *PLAIN, "trueup")
-            ]
-            rows.append([f"`{case.name}`", f"{channel} [{unit}]", *cells])
-            print(" | ".join(rows[-1]), flush=True)
-    publish("machines", ["machine", "channel", "nominal", *PLAIN, "trueup"], rows)
+        measured_folds = {
+            f"{case.name}-{i}": (measured(plant, seen, aside), seen, aside)
+            for i, (seen, aside) in enumerate(folds(episodes))
+        }
+        results = {name: fold for name, (fold, _, _) in measured_folds.items()}
+        if len(plant.joints) == 1 and not os.environ.get("ALONE"):
+            given = {n: (fold.diagnosis, seen) for n, (fold, seen, _) in measured_folds.items()}
+            for peer, answers in peers(given).items():
+                for name, (fold, _, aside) in measured_folds.items():
+                    numbers = answers[name]["numbers"]
+                    if numbers is not None:
+                        model = of_numbers(fold.diagnosis, numbers)
+                        results[name].errors[peer] = root_mean_square(model, aside)
+        rows += list(table(case.name, plant, list(results.values())))
+        told += [[f"`{case.name}`", f.answer, f"{f.seconds:.0f}"] for f in results.values()]
+        for row in (*told[-len(results) :], *rows[-len(plant.layout.observations) :]):
+            print(" | ".join(row), flush=True)
+    publish("machines", ["machine", "channel", *MODELS], rows)
+    publish("answers", ["machine", "answer", "CPU [s]"], told)
+
+
+def table(name: str, plant: Plant, results: Sequence[Fold]) -> Iterator[list[str]]:
+    """A row for each channel: the RMS error of each model over all folds, in its unit."""
+    for i, channel in enumerate(plant.layout.observations):
+        cells = []
+        for model in MODELS:
+            errors = [f.errors[model][i] for f in results if model in f.errors]
+            full = len(errors) == len(results)
+            cells.append(f"{np.sqrt(np.mean(np.square(errors))):.3g}" if full else "–")
+        yield [f"`{name}`", f"{channel.name} [{channel.unit}]", *cells]
 
 
 if __name__ == "__main__":
