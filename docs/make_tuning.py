@@ -6,15 +6,17 @@ from pathlib import Path
 
 from trueup.diagnose.model_selection import PHYSICAL, ROBOT, SIMULATED, SelectionCriteria
 from trueup.diagnose.tuning import GROUPS
+from trueup.diagnose.tuning_of_answers import GROUPS as ANSWERS
 from trueup.doctor.tuning import GROUPS as DOCTOR
 
 HEAD = """# Tuning
 
-Every number that steers a diagnosis and is not a law of statistics, from
-`library/trueup/diagnose/tuning.py` and `model_selection.py`. They are the same for every machine,
-and were set on the open development set: simulated machines whose hidden effects are known
-(`bench/diagnosis.py` draws them; the [figures](figures.md) say how often the answer is right).
-Machines on which the method is judged had no part in it. Who changes a number runs that set again.
+Every number that steers a diagnosis and is not a law of statistics, from `tuning.py`,
+`tuning_of_answers.py` and `model_selection.py` in `library/trueup/diagnose`. They are the same for
+every machine, and were set on the open development set: simulated machines whose hidden effects are
+known (`bench/diagnosis.py` draws them; the [figures](figures.md) say how often the answer is
+right). Machines on which the method is judged had no part in it. Who changes a number runs that set
+again.
 """
 DOCTOR_HEAD = """# Tuning of the doctor
 
@@ -26,7 +28,7 @@ CRITERIA = {"a simulated joint": SIMULATED, "a simulated robot": ROBOT, "a machi
 
 def page() -> str:
     """The page's text."""
-    parts = [HEAD, *(_group(group) for group in GROUPS), _criteria(), DOCTOR_HEAD]
+    parts = [HEAD, *(_group(group) for group in (*GROUPS, *ANSWERS)), _criteria(), DOCTOR_HEAD]
     parts += [_group(group) for group in DOCTOR]
     return "\n".join(parts)
 

@@ -14,7 +14,7 @@ from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.explain import in_units, unit
 from trueup.diagnose.model_selection import Choice
 from trueup.diagnose.search import Search, has_already
-from trueup.diagnose.tuning import EVIDENCE
+from trueup.diagnose.tuning_of_answers import EVIDENCE
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.fit.screening import Screening
 from trueup.model.block import joint, kind

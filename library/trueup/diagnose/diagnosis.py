@@ -28,6 +28,7 @@ from trueup.diagnose.measure import Gap, measure
 from trueup.diagnose.model_selection import Choice, agreeing, select
 from trueup.diagnose.next_experiment import Experiment, next_experiment
 from trueup.diagnose.noise import Noise
+from trueup.diagnose.payload import payload
 from trueup.diagnose.problem_setup import Recordings
 from trueup.diagnose.report import Served, report
 from trueup.diagnose.residual_noise import noise_level
@@ -187,6 +188,9 @@ def diagnose(
         excluded=excluded,
         unexcited=unexcited,
         shown=identifiability(recordings, problem),
+        carried=payload(plant, problem.fitter.directions, refit.answer, adaptation)
+        if served is Served.CORRECTED
+        else None,
         where=locate(plant, search, choice.winner, nominal, adaptation, validation),
         experiment=experiment,
         episodes=episodes,

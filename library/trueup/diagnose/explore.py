@@ -22,7 +22,7 @@ from trueup.diagnose.search import Search
 from trueup.diagnose.search_problem import SearchProblem
 from trueup.diagnose.strategy import PAIR
 from trueup.diagnose.tasks import Solve, in_threads
-from trueup.diagnose.tuning import DATA_QUALITY, SEARCH, SETUP
+from trueup.diagnose.tuning import DATA_QUALITY, SEARCH, SELECTION, SETUP
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.block import kind
 from trueup.model.hypothesis import Hypothesis
@@ -115,7 +115,7 @@ class _Exploration:
         at, scheme = min(best, key=lambda c: c.total), best.problem.scheme
         alone = min((c for c in best if len(c.hypothesis.effects) <= 1), key=lambda c: c.total)
         other = replace(scheme, ramped=not scheme.ramped)
-        if not self._may_ramp(other) or self._is_enough(at, best):
+        if not self._may_ramp(other) or at.total < SELECTION.adequate:
             return None
         problem, _ = self._problem(other, 1)
         tried = {c.hypothesis: c for c in (alone, at)}.values()

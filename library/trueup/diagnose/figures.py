@@ -23,7 +23,7 @@ from trueup.canonical import Json
 from trueup.diagnose.locate import strides_of
 from trueup.diagnose.maps import Places, maps
 from trueup.diagnose.traces import MOST, Told, named, number, numbers, rms, traces
-from trueup.diagnose.tuning import EVIDENCE
+from trueup.diagnose.tuning_of_answers import EVIDENCE
 from trueup.episode.episode import Episode
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.predictor import Nominal

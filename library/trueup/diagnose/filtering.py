@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from trueup.cores import in_parallel
 from trueup.diagnose.data_quality import DataQuality
 from trueup.diagnose.measure import knows_beginnings, squared_errors, windows_of
-from trueup.diagnose.tuning import FILTER
+from trueup.diagnose.tuning_of_answers import FILTER
 from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.block import joint as joint_of

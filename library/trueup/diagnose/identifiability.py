@@ -27,7 +27,7 @@ from trueup.diagnose.explore import Progress, unexplored
 from trueup.diagnose.intervals import inverse_information
 from trueup.diagnose.problem_setup import Recordings
 from trueup.diagnose.search_problem import SearchProblem
-from trueup.diagnose.tuning import EVIDENCE
+from trueup.diagnose.tuning_of_answers import EVIDENCE
 from trueup.episode.episode import Episode
 from trueup.fit.free_numbers import Directions, Free
 from trueup.fit.rollout_fit import TWO_SIDED

@@ -19,7 +19,7 @@ from trueup.canonical import Json
 from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.regions import regions, used
 from trueup.diagnose.search import Search
-from trueup.diagnose.tuning import EVIDENCE
+from trueup.diagnose.tuning_of_answers import EVIDENCE
 from trueup.diagnose.windowed_fits import trajectory
 from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import RolloutFit, Start

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from trueup.bootstrap import LEAST
 from trueup.canonical import Json
 from trueup.diagnose.noise import Noise
-from trueup.diagnose.tuning import EVIDENCE
+from trueup.diagnose.tuning_of_answers import EVIDENCE
 from trueup.episode.episode import Episode
 from trueup.model.block import kind
 from trueup.model.corrected import Corrected

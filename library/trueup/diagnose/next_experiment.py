@@ -27,7 +27,7 @@ from trueup.diagnose.data_quality import DataQuality
 from trueup.diagnose.indistinguishable import ALIASES, how_to_part
 from trueup.diagnose.model_selection import Choice
 from trueup.diagnose.search import Search
-from trueup.diagnose.tuning import EXPERIMENT
+from trueup.diagnose.tuning_of_answers import EXPERIMENT
 from trueup.model.block import BLOCK, joint, kind
 from trueup.model.block import term as term_at
 from trueup.model.hypothesis import switches

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.diagnose.tuning import EVIDENCE
+from trueup.diagnose.tuning_of_answers import EVIDENCE
 from trueup.episode.episode import Episode
 from trueup.model.plant import Plant
 from trueup.model.state import smoothed_states

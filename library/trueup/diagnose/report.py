@@ -17,6 +17,7 @@ from trueup.diagnose.identifiability import Identifiability
 from trueup.diagnose.measure import Gap
 from trueup.diagnose.model_selection import Choice, Conclusion
 from trueup.diagnose.next_experiment import Experiment
+from trueup.diagnose.payload import Payload
 from trueup.diagnose.search import Search
 from trueup.doctor.finding import Finding, documents
 from trueup.episode.episode import Episode
@@ -56,6 +57,7 @@ def report(
     excluded: Sequence[Bound],
     unexcited: Sequence[Bound],
     shown: Identifiability,
+    carried: Payload | None,
     where: Mapping[str, Json],
     experiment: Experiment | None,
     episodes: Sequence[Episode],
@@ -95,6 +97,7 @@ def report(
         "not_excited": [b.document() for b in unexcited],
         "identifiability": shown.document(),
         "parameters": dict(parameters),
+        "payload": carried.document() if carried else None,
         **({"mjcf": patch.document()} if plant.family == "mjcf" else {}),
         "where": dict(where),
         "gap": gap.document(),

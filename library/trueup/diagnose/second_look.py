@@ -21,7 +21,8 @@ from trueup.diagnose.by_prediction import Yardstick
 from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.measure import motion_of, squared_errors, windows_of
 from trueup.diagnose.model_selection import Choice, Conclusion
-from trueup.diagnose.tuning import SECOND_LOOK, SELECTION
+from trueup.diagnose.tuning import SELECTION
+from trueup.diagnose.tuning_of_answers import SECOND_LOOK
 from trueup.episode.episode import Episode
 from trueup.model.predictor import Predictor
 

@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import Any
 
 from trueup.collect.step_warning import off_step
-from trueup.diagnose.tuning import EVIDENCE
+from trueup.diagnose.tuning_of_answers import EVIDENCE
 
 PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 MOST_NUMBERS = 3  # that a sentence names
@@ -118,7 +118,7 @@ def _new_numbers(document: Mapping[str, Any]) -> str:
     else:
         part = "most of the gap" if left else "the gap"
     text = f"New numbers in the nominal form explain {part}{_and_others(shares, SAME_NUMBERS)}"
-    text += _moved(document)
+    text += _carried(document) or _moved(document)
     if left:
         return f"{text}; no effect of the catalogue takes a material part of what remains"
     return f"{text}; no effect is missing"
@@ -133,6 +133,23 @@ def _incomplete(document: Mapping[str, Any]) -> str:
         f"; it certainly acts, but its law is incomplete: over all recordings it leaves "
         f"{percent(left)} of the squared error of new numbers"
     )
+
+
+def _carried(document: Mapping[str, Any]) -> str:
+    """The mass that the new numbers are, and the links on which it would look the same; empty where
+    they are none. An older report does not say."""
+    found = document.get("payload")
+    if not found:
+        return ""
+    low, high = found["mass"]["ci95"]
+    mass = plus_minus(found["mass"]["value"], (high - low) / 2.0)
+    across = found["centre"]["value"][:2]
+    away = ""
+    if None not in across:
+        away = f", {short(math.hypot(*across))} m from the axis of its joint"
+    first, *others = found["links"]
+    text = f": they are those of {mass} kg more on the link of {first}{away}"
+    return f"{text} (on that of {' or '.join(others)} it would look the same)" if others else text
 
 
 def _moved(document: Mapping[str, Any]) -> str:

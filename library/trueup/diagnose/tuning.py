@@ -1,8 +1,9 @@
-"""Tuning: every number that steers a diagnosis and is not a law of statistics, in one place.
+"""Tuning: every number that steers the search of a diagnosis and is not a law of statistics.
 
-Each has a unit and a reason. They were set on the open development set (simulated machines whose
-effects are known, `bench/diagnosis.py`) and are the same for every machine; what is expected of the
-laws themselves is in `model_selection.SelectionCriteria`. `docs/tuning.md` is made from this file.
+What is said of its answer is in `tuning_of_answers`. Each number has a unit and a reason. They were
+set on the open development set (simulated machines whose effects are known, `bench/diagnosis.py`)
+and are the same for every machine; what is expected of the laws themselves is in
+`model_selection.SelectionCriteria`. `docs/tuning.md` is made from these files.
 """
 
 from __future__ import annotations
@@ -287,112 +288,8 @@ class SelectionTuning:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class FilterTuning:
-    """The gain with which a corrected model follows an episode before it predicts."""
-
-    doublings: int = number(24, "doublings", "Of the settling time: from one sample to days.")
-    least_disturbance: float = number(
-        -7.0, "decades of the motion's acceleration", "In each second, the least that is tried."
-    )
-    most_disturbance: float = number(
-        5.0, "decades of the motion's acceleration", "In each second, the most that is tried."
-    )
-    coarse_decades: float = number(2.0, "decades", "Between the first sizes that are tried.")
-    fine_decades: float = number(0.4, "decades", "Between the last ones.")
-    beginning: int = number(24, "samples", "Until the steady gain is used.")
-    alike: float = number(2.0, "standard errors", "Gains that differ by less predict alike.")
-
-
-@dataclass(frozen=True, slots=True)
-class EvidenceTuning:
-    """What is said of the answer: bounds, regions, pushes, the floor, sentences."""
-
-    bound_errors: float = number(
-        3.0, "standard errors", "Of a bound: what the linear model neglects is among them."
-    )
-    linear_reach: float = number(
-        1.5, "times an initial guess", "Up to there what was computed at the guess is believed."
-    )
-    ruled_out: float = number(0.5, "of a limit's whole effect", "A limit below is ruled out.")
-    narrow: float = number(0.1, "of a number", "An interval no wider: it is identifiable.")
-    wide: float = number(1.0, "of a number", "An interval no wider: it is shown, but weakly.")
-    tied: float = number(0.95, "correlation", "Estimates closer to one than that are tied.")
-    plain: float = number(
-        0.2, "of a usual size", "Where so little of an effect shows, it is plain."
-    )
-    stride_s: float = number(
-        0.1, "s", "Over which residuals are taken: one place's error is not carried to the next."
-    )
-    stride_samples: int = number(3, "samples", "At least, in a stride.")
-    band_edges_hz: tuple[float, ...] = number((0.3, 1.0, 3.0), "Hz", "Between frequency bands.")
-    pushed: float = number(
-        8.0, "times what is usual", "A force of something outside that leans on a robot."
-    )
-    pushed_s: float = number(0.8, "s", "How long such a force lasts at least.")
-    pushed_of_motion: float = number(
-        0.2, "of the force of the joint's own motion", "A smaller push is not worth a word."
-    )
-    around_reversal_s: float = number(0.1, "s", "About a reversal of the motion.")
-    resamples: int = number(400, "bootstrap resamples", "For the intervals of held-out errors.")
-    at_the_floor: float = number(
-        1.1, "times the floor's power", "An error below is not told from the noise."
-    )
-    clearly_above_floor: float = number(
-        2.0, "times the floor", "An error above is clearly no noise."
-    )
-    misleading: float = number(
-        1.05, "times the nominal error", "New numbers that do worse are no improvement."
-    )
-    worth_naming: float = number(0.05, "of the gap", "A smaller part is not named in a sentence.")
-    most_of_it: float = number(0.5, "of the gap", "More than that is called most of it.")
-    off_minimum: float = number(
-        0.1, "half-widths", "A fit that ended further from its minimum is worth a word."
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class ExperimentTuning:
-    """The commands among which the next experiment is chosen."""
-
-    duration_s: float = number(6.0, "s", "Of the experiment.")
-    rates_hz: tuple[float, ...] = number((0.15, 0.4, 1.0, 2.5), "Hz", "Of the waves.")
-    sizes: tuple[float, ...] = number(
-        (0.02, 0.07, 0.25, 0.5, 0.95), "of the command's limit", "Of the waves."
-    )
-    free: float = number(
-        0.01, "of the travel", "A joint that moves less without a command rests at any position."
-    )
-    part_of_recorded: float = number(
-        0.3, "of the largest recorded command", "The largest wave at a robot's joint."
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class SecondLookTuning:
-    """Compositions compared by predictions of every recording, where none is the answer."""
-
-    fewest: int = number(3, "recordings", "That are fitted, so that each may be left out once.")
-    compositions: int = number(
-        6, "of one effect", "Those that fit best; each is fitted as often as there are recordings."
-    )
-    on_most: float = number(
-        0.7, "of the recordings", "The part must predict so many better than new numbers do."
-    )
-    leaves: float = number(
-        0.5,
-        "of the squared error of new numbers",
-        "Of all recordings: a part that leaves more is none to rely on.",
-    )
-    iterations: int = number(6, "steps", "From the fit to all recordings to that without one.")
-
-
 DATA_QUALITY = DataQualityTuning()
 SETUP = SetupTuning()
 SEARCH = SearchTuning()
 SELECTION = SelectionTuning()
-FILTER = FilterTuning()
-EVIDENCE = EvidenceTuning()
-EXPERIMENT = ExperimentTuning()
-SECOND_LOOK = SecondLookTuning()
-GROUPS = (DATA_QUALITY, SETUP, SEARCH, SELECTION, FILTER, EVIDENCE, EXPERIMENT, SECOND_LOOK)
+GROUPS = (DATA_QUALITY, SETUP, SEARCH, SELECTION)
