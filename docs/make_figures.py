@@ -12,7 +12,12 @@ PLACE = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- /table -->)", re.DOTALL)
 
 def page() -> str:
     """The page with each table as it was measured last."""
-    return PLACE.sub(lambda found: f"{found[1]}{_table(found[2])}{found[3]}", PAGE.read_text())
+    return filled(PAGE)
+
+
+def filled(page: Path) -> str:
+    """A page with each of its tables as it was measured last."""
+    return PLACE.sub(lambda found: f"{found[1]}{_table(found[2])}{found[3]}", page.read_text())
 
 
 def _table(name: str) -> str:
