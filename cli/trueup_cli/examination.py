@@ -131,6 +131,7 @@ def _write(plant: Plant, piece: Episode, findings: Sequence[Finding], to: Path) 
             role=piece.role,
             conditions=conditions,
             applied=piece.applied,
+            effort=piece.effort,
         )
 
 

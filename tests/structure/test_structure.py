@@ -150,7 +150,18 @@ def test_every_setting_is_documented():
 
 
 @pytest.mark.parametrize(
-    "page", ["commands", "settings", "effects", "access", "api", "gates", "figures", "scoreboard", "tuning"]
+    "page",
+    [
+        "commands",
+        "settings",
+        "effects",
+        "access",
+        "api",
+        "gates",
+        "figures",
+        "scoreboard",
+        "tuning",
+    ],
 )
 def test_pages_made_from_the_code_are_up_to_date(page):
     written = subprocess.run(

@@ -193,6 +193,7 @@ def diagnose(
         else None,
         where=locate(plant, search, choice.winner, nominal, adaptation, validation),
         experiment=experiment,
+        witnessed=recordings.witnesses,
         episodes=episodes,
         findings=recordings.findings,
         ramps_leave=explored.ramps_leave,

@@ -25,6 +25,7 @@ from trueup.diagnose.spatial_periods import spatial_periods
 from trueup.diagnose.strategy import Strategy, strategy_for
 from trueup.diagnose.tuning import SETUP
 from trueup.diagnose.windowed_fits import WindowedFits
+from trueup.diagnose.witness import Witness, witnesses
 from trueup.doctor.examine import usable
 from trueup.doctor.finding import Finding
 from trueup.episode.episode import Episode
@@ -84,8 +85,15 @@ class Recordings:
 
     @cached_property
     def terms(self) -> list[str]:
-        """Terms that are found by fitting the plant."""
-        return searchable([bool(c >= 0) for c in self.plant.command_columns])
+        """Terms that are found by fitting the plant, but those that a logged effort denies."""
+        denied = {t for w in self.witnesses for t in w.denied}
+        terms = searchable([bool(c >= 0) for c in self.plant.command_columns])
+        return [t for t in terms if t not in denied]
+
+    @cached_property
+    def witnesses(self) -> list[Witness]:
+        """What logged efforts say of the drives."""
+        return witnesses(self.plant, self.every)
 
     @property
     def window_s(self) -> float:
@@ -269,4 +277,6 @@ def thinned(episode: Episode, every: int) -> Episode:
         t_s=episode.t_s[kept].copy(),
         commands=commands,
         observations=episode.observations[kept].copy(),
+        applied=None,
+        effort=None,
     )

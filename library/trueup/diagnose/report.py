@@ -19,6 +19,7 @@ from trueup.diagnose.model_selection import Choice, Conclusion
 from trueup.diagnose.next_experiment import Experiment
 from trueup.diagnose.payload import Payload
 from trueup.diagnose.search import Search
+from trueup.diagnose.witness import Witness
 from trueup.doctor.finding import Finding, documents
 from trueup.episode.episode import Episode
 from trueup.episode.layout import Hold
@@ -58,6 +59,7 @@ def report(
     unexcited: Sequence[Bound],
     shown: Identifiability,
     carried: Payload | None,
+    witnessed: Sequence[Witness],
     where: Mapping[str, Json],
     experiment: Experiment | None,
     episodes: Sequence[Episode],
@@ -120,6 +122,7 @@ def report(
                 c.name: float(quality.correlation[i])
                 for i, c in zip(plant.state_columns, plant.layout.observations, strict=True)
             },
+            "witnesses": [w.document() for w in witnessed],
             "holds": _holds(plant, search, ramps_leave),
             "convergence": _convergence(answer, *choice.rivals),
             "uses_of_validation": len(search.candidates),

@@ -134,9 +134,24 @@ class PayloadTuning:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class WitnessTuning:
+    """When a logged effort witnesses what a drive does."""
+
+    follows: float = number(
+        0.95, "correlation", "With the command; a servo's torque follows its error instead."
+    )
+    latest_s: float = number(0.05, "s", "By which an effort may come after its command.")
+    denied: float = number(
+        0.05, "of the gain", "A drive whose gain differs by less has no such effect."
+    )
+    blocks: int = number(40, "parts", "Of the log, whose means are independent of each other.")
+
+
 FILTER = FilterTuning()
 EVIDENCE = EvidenceTuning()
 EXPERIMENT = ExperimentTuning()
 SECOND_LOOK = SecondLookTuning()
 PAYLOAD = PayloadTuning()
-GROUPS = (FILTER, EVIDENCE, EXPERIMENT, SECOND_LOOK, PAYLOAD)
+WITNESS = WitnessTuning()
+GROUPS = (FILTER, EVIDENCE, EXPERIMENT, SECOND_LOOK, PAYLOAD, WITNESS)

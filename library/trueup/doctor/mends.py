@@ -88,6 +88,7 @@ class Permuted(Mend):
                 observations=episode.observations[:, list(self.observations)],
                 commands=episode.commands[:, list(self.commands)],
                 applied=None if applied is None else applied[:, list(self.commands)],
+                effort=None,  # nobody knows at which joint it was measured
             )
         ]
 
@@ -118,6 +119,7 @@ class Shifted(Mend):
                 commands=mean_commands(episode, at),
                 observations=episode.observations[kept],
                 applied=None,
+                effort=None if episode.effort is None else episode.effort[kept],
                 begins_s=episode.begins_s + float(at[0]),
                 digest=f"{episode.digest}, shifted by {self.late_s:.6g} s",
             )
@@ -201,6 +203,7 @@ def without_masked(episode: Episode) -> Episode:
         commands=mean_commands(episode, at),
         observations=episode.observations[kept],
         applied=None if applied is None else applied[kept],
+        effort=None if episode.effort is None else episode.effort[kept],
         begins_s=episode.begins_s + float(at[0]),
         digest=f"{episode.digest}, {len(seen) - len(kept)} samples left out",
     )

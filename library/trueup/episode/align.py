@@ -18,20 +18,27 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True, slots=True)
 class Aligned:
     """Stamps [ns] `(samples,)`, observations, issued commands and, where they were recorded,
-    applied ones at them; what was left out, and how the two topics lie against each other."""
+    applied ones and efforts at them; what was left out, and how the two topics lie against each
+    other."""
 
     stamps: NDArray[np.int64]
     observations: Array
     commands: Array
     applied: Array | None
+    effort: Array | None
     omissions: tuple[Omission, ...]
     offset: TopicOffset
 
 
 def align(
-    observed: Track, issued: Track, applied: Track | None = None, late_ns: int = 0
+    observed: Track,
+    issued: Track,
+    applied: Track | None = None,
+    effort: Array | None = None,
+    late_ns: int = 0,
 ) -> Aligned:
-    """Everything at the stamps of the observations, from the first command on.
+    """Everything at the stamps of the observations, from the first command on. `effort` `(messages,
+    command channels)` came with the observations; a channel without any is none.
 
     Header stamps count if every topic has them, log times otherwise: two clocks would not be one.
     Observations happened `late_ns` [ns] before their stamps. Raises NotAnEpisode.
@@ -41,6 +48,8 @@ def align(
     observed.require([c for c in observed.channels if c.field is Field.POSITION])
     by_stamp = all(track.has_stamps for track in tracks)
     kept = [track.kept(by_stamp=by_stamp) for track in tracks]
+    if effort is not None:
+        effort = effort[observed.says_something(by_stamp=by_stamp)]
     observed, issued = kept[0][0], kept[1][0]
     applied = None if applied is None else kept[2][0]
     stamps = observed.times_ns(by_stamp=by_stamp) - late_ns
@@ -67,6 +76,7 @@ def align(
         observed.values[first:],
         commands,
         None if applied is None else _applied(stamps, applied, by_stamp=by_stamp),
+        None if effort is None or np.isnan(effort).all() else effort[first:],
         tuple(o for _, omissions in kept for o in omissions),
         offset,
     )

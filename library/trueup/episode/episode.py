@@ -28,11 +28,13 @@ class Episode:
     `t_s[i]` to the next sample, and is the mean of those in force where the command changed in
     between. These are the commands that were issued; `applied` `(samples, command channels)` is
     what the drive reports to have applied of them, None where no log says so, nan before its first
-    message. A channel that the log lacks is a column of nan, named in `missing`. `clock_doubts`
-    says where the log's own clocks contradict each other; `omissions` which messages were left out
-    because they say nothing; `offset` how the topics lie against each other, None where the episode
-    was not read from a recording. A part of a recording begins `begins_s` [s] after it, and its
-    digest is the recording's with what it is a part of. The arrays cannot be written to.
+    message; `effort` `(samples, command channels)` what was measured at the commanded joints, in
+    the log's own unit, None where it was not. A channel that the log lacks is a column of nan,
+    named in `missing`. `clock_doubts` says where the log's own clocks contradict each other;
+    `omissions` which messages were left out because they say nothing; `offset` how the topics lie
+    against each other, None where the episode was not read from a recording. A part of a recording
+    begins `begins_s` [s] after it, and its digest is the recording's with what it is a part of. The
+    arrays cannot be written to.
     """
 
     t_s: NDArray[np.float64]
@@ -48,6 +50,7 @@ class Episode:
     omissions: tuple[Omission, ...] = ()
     offset: TopicOffset | None = None
     begins_s: float = 0.0
+    effort: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         samples = len(self.t_s)
@@ -58,7 +61,9 @@ class Episode:
             )
         if self.applied is not None and self.applied.shape != self.commands.shape:
             raise NotAnEpisode("applied commands have the shape of issued ones", rule="samples")
-        for array in (self.t_s, self.commands, self.observations, self.applied):
+        if self.effort is not None and self.effort.shape != self.commands.shape:
+            raise NotAnEpisode("efforts have the shape of commands", rule="samples")
+        for array in (self.t_s, self.commands, self.observations, self.applied, self.effort):
             if array is not None:
                 array.setflags(write=False)
         object.__setattr__(self, "conditions", MappingProxyType(dict(self.conditions)))
@@ -113,6 +118,7 @@ class Episode:
             commands=self.commands[kept].copy(),
             observations=self.observations[kept].copy(),
             applied=None if self.applied is None else self.applied[kept].copy(),
+            effort=None if self.effort is None else self.effort[kept].copy(),
             begins_s=self.begins_s + float(self.t_s[first]),
             digest=f"{self.digest}, samples {first} to {last}",
         )

@@ -49,3 +49,11 @@ class Layout:
     observation_topic: str = "/joint_states"
     command_topic: str = "/joint_commands"
     applied_topic: str = "/joint_commands/applied"  # a recording may lack it
+
+    @property
+    def efforts(self) -> tuple[Channel, ...]:
+        """What a recording may say on the observation topic of the effort at each commanded
+        joint."""
+        return tuple(
+            Channel(f"effort of {c.name}", "", Field.EFFORT, c.joint) for c in self.commands
+        )

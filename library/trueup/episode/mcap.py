@@ -51,6 +51,7 @@ def read_episode_stream(
         Gathering(layout.observation_topic, layout.observations),
         Gathering(layout.command_topic, layout.commands),
         Gathering(layout.applied_topic, layout.commands),
+        Gathering(layout.observation_topic, layout.efforts),
     )
     for block in walk:
         for channel, messages in block.messages.items():
@@ -62,7 +63,8 @@ def read_episode_stream(
     known = sorted({t.name for t in walk.contents.topics.values()})
     observed, issued = (track.track(known) for track in tracks[:2])
     applied = tracks[2].track(known) if tracks[2] else None
-    aligned = align(observed, issued, applied, round(1e9 * late_s))
+    effort = tracks[3].track(known).values
+    aligned = align(observed, issued, applied, effort, round(1e9 * late_s))
     amiss = doubts(observed) + (doubts(issued) if issued.topic != observed.topic else ())
     start = int(aligned.stamps[0])
     return Episode(
@@ -78,6 +80,7 @@ def read_episode_stream(
         aligned.applied,
         tuple(o.since(start) for o in aligned.omissions),
         aligned.offset,
+        effort=aligned.effort,
     )
 
 

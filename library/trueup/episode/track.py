@@ -73,7 +73,7 @@ class Track:
             for column, channel in zip(broken.T, self.channels, strict=True)
         ]
         omissions.append(self._omission(Reason.REPEATED_STAMP, repeats, times, None))
-        good = ~(broken.any(axis=1) | repeats)
+        good = self.says_something(by_stamp=by_stamp)
         kept = replace(
             self,
             stamp_ns=self.stamp_ns[good],
@@ -81,6 +81,14 @@ class Track:
             values=self.values[good],
         )
         return kept, tuple(o for o in omissions if o is not None)
+
+    def says_something(self, *, by_stamp: bool) -> NDArray[np.bool_]:
+        """Which messages have a finite number of every channel that has any, and a time other than
+        that of the one before, `(n,)`."""
+        times = self.stamp_ns if by_stamp else self.log_ns
+        has_values = ~np.isnan(self.values).all(axis=0)
+        broken = (~np.isfinite(self.values) & has_values).any(axis=1)
+        return np.asarray(~(broken | np.append(False, np.diff(times) == 0)))
 
     def _omission(
         self,

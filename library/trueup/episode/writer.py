@@ -56,9 +56,11 @@ def write_episode(
     encoding: Encoding = Encoding.CDR,
     compression: CompressionType = CompressionType.ZSTD,
     applied: NDArray[np.float64] | None = None,
+    effort: NDArray[np.float64] | None = None,
 ) -> None:
     """Write `(samples, channels)` observations and as many commands, or one less, as JointState on
-    the layout's topics; and what was `applied` of them, where that is known.
+    the layout's topics; and, where they are known, what was `applied` of them, and the `effort`
+    `(samples, command channels)` that was measured with the observations.
 
     Without a role the file is a plan: commands alone, and no episode.
     """
@@ -66,7 +68,10 @@ def write_episode(
     writer.start(profile="ros2" if encoding is Encoding.CDR else "", library="trueup")
     name, schema_encoding, definition, encode = _FORMATS[encoding]()
     schema = writer.register_schema(name, schema_encoding, definition)
-    states, orders = FieldColumns(layout.observations), FieldColumns(layout.commands)
+    orders, shown = FieldColumns(layout.commands), layout.observations
+    if effort is not None:
+        shown, observations = shown + layout.efforts, np.hstack([observations, effort])
+    states = FieldColumns(shown)
     written = [
         (layout.observation_topic, states, observations),
         (layout.command_topic, orders, commands),
