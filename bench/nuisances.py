@@ -48,7 +48,7 @@ LATE_S = 0.01, 0.05
 VISIBLE = 0.06, 0.5  # of the motion
 FAINT = 0.3, 2.0  # times the noise
 TRIALS = int(os.environ.get("TRIALS", "300"))
-PARTS = {"single": 0.66, "pair": 0.12, "outside": 0.11, "none": 0.11, "faint": 0.8}
+PARTS = {"single": 0.66, "pair": 0.12, "outside": 0.11, "none": 0.11, "faint": 1.3}
 SEED = 50500
 
 

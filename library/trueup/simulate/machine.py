@@ -331,7 +331,7 @@ def _run(  # type: ignore[no-untyped-def]
             rise = min(max(planned[i + 1], low), high) - issued[i]
         for part in range(parts):
             j = i * parts + part
-            fine_u[j] = issued[i] + rise * part / parts
+            fine_u[j] = issued[i] + rise * (part + 0.5) / parts  # its mean over the step
             u = driven(n, has, m, arriving(n, fine_u, j, h), h, fine, limit)
             # forces on the joint at rest of its friction
             x = q + 0.5 * h * v if fine else q
