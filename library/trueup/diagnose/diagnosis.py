@@ -25,7 +25,7 @@ from trueup.diagnose.final_refit import FinalRefit, final_refit
 from trueup.diagnose.identifiability import identifiability
 from trueup.diagnose.locate import locate
 from trueup.diagnose.measure import Gap, measure
-from trueup.diagnose.model_selection import Choice, agreeing, select
+from trueup.diagnose.model_selection import Choice, Conclusion, agreeing, select
 from trueup.diagnose.next_experiment import Experiment, next_experiment
 from trueup.diagnose.noise import Noise
 from trueup.diagnose.payload import payload
@@ -133,10 +133,27 @@ def diagnose(
     Adaptation episodes are fitted; validation episodes compare and measure. Raises NotIdentifiable
     where there are none of either, or where the joint never moves. The tasks of the search are done
     by whoever may `solve` them; the answer is the same.
+
+    Episodes that do not declare their stage are judged as a simulator's, whose laws are exact, and
+    where no composition explains them so, as a machine's.
     """
     progress("looking for faults in the log", 0.0)
     recordings = Recordings.of(plant, episodes)
-    adaptation, validation = recordings.adaptation, recordings.validation
+    diagnosis = _diagnosis(recordings, episodes, seed, progress, solve)
+    if diagnosis.choice.verdict is not Conclusion.UNKNOWN or recordings.declares_stage:
+        return diagnosis
+    progress("once more, as a machine's", 0.0)
+    return _diagnosis(recordings.as_of_a_machine(), episodes, seed, progress, in_threads)
+
+
+def _diagnosis(
+    recordings: Recordings,
+    episodes: Sequence[Episode],
+    seed: int,
+    progress: Progress,
+    solve: Solve,
+) -> Diagnosis:
+    plant, adaptation, validation = recordings.plant, recordings.adaptation, recordings.validation
     progress("looking at the episodes", 0.0)
     quality = assess(plant, adaptation)
     explored = explore(recordings, quality, progress, solve)
@@ -194,6 +211,7 @@ def diagnose(
         where=locate(plant, search, choice.winner, nominal, adaptation, validation),
         experiment=experiment,
         witnessed=recordings.witnesses,
+        judged_as=recordings.judged_as,
         episodes=episodes,
         findings=recordings.findings,
         ramps_leave=explored.ramps_leave,

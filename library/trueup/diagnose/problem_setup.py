@@ -69,6 +69,19 @@ class Recordings:
         return Recordings(plant, adaptation, validation, known.findings)
 
     @property
+    def declares_stage(self) -> bool:
+        """Whether any episode says if a machine or a simulator made it."""
+        return any("stage" in e.conditions for e in self.every)
+
+    def as_of_a_machine(self) -> Recordings:
+        """The same recordings, judged as a machine's, whatever they declare."""
+        adaptation, validation = (
+            [replace(e, conditions={**e.conditions, "stage": "physical"}) for e in episodes]
+            for episodes in (self.adaptation, self.validation)
+        )
+        return replace(self, adaptation=adaptation, validation=validation)
+
+    @property
     def every(self) -> list[Episode]:
         """All of them, those that are fitted first."""
         return [*self.adaptation, *self.validation]
@@ -77,6 +90,11 @@ class Recordings:
     def criteria(self) -> SelectionCriteria:
         """How exact a law may be expected to be on these episodes."""
         return selection_criteria(self.plant, self.every)
+
+    @property
+    def judged_as(self) -> str:
+        """Whose recordings they are taken for."""
+        return "machine" if self.criteria.of_machine else "simulator"
 
     @cached_property
     def strategy(self) -> Strategy:

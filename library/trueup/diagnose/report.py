@@ -60,6 +60,7 @@ def report(
     shown: Identifiability,
     carried: Payload | None,
     witnessed: Sequence[Witness],
+    judged_as: str,
     where: Mapping[str, Json],
     experiment: Experiment | None,
     episodes: Sequence[Episode],
@@ -122,6 +123,7 @@ def report(
                 c.name: float(quality.correlation[i])
                 for i, c in zip(plant.state_columns, plant.layout.observations, strict=True)
             },
+            "judged_as": judged_as,
             "witnesses": [w.document() for w in witnessed],
             "holds": _holds(plant, search, ramps_leave),
             "convergence": _convergence(answer, *choice.rivals),

@@ -350,3 +350,16 @@ def test_where_impacts_make_whole_windows_too_rough_for_a_proof_shorter_ones_pro
     assert not found.choice.winner.fit.proven  # nothing on whole windows would have been
     low, high = effect["estimate"]["limit"]["ci95"]
     assert low < trial.machine.imperfections["hard_stop"]["limit"] < high
+
+
+def test_a_log_that_declares_no_stage_is_judged_by_what_it_leaves():
+    """A law that is a few per cent off explains a machine's recordings, and no simulator's."""
+    plant, episodes, _ = recorded("B1", ["stribeck_friction", "viscoelastic"], 2)
+    undeclared = [replace(e, conditions={}) for e in episodes]
+    exact = diagnose(plant, episodes).document
+    coarse = diagnose(plant, undeclared).document
+    assert (exact["verdict"], exact["evidence"]["judged_as"]) == ("unknown_effect", "simulator")
+    assert coarse["evidence"]["judged_as"] == "machine"
+    plant, episodes, _ = recorded("A1", ["coulomb_friction"], 3)
+    sound = [replace(e, conditions={}) for e in episodes]
+    assert diagnose(plant, sound).document["evidence"]["judged_as"] == "simulator"
