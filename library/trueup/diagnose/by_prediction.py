@@ -17,12 +17,14 @@ from trueup.cores import in_parallel
 from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.data_quality import DataQuality
 from trueup.diagnose.filtering import corrected
+from trueup.diagnose.intervals import half_widths
 from trueup.diagnose.measure import Gap, held_out_error
 from trueup.diagnose.model_selection import Choice, Conclusion, numbers_of
 from trueup.diagnose.problem_setup import Recordings
 from trueup.diagnose.search import Search
 from trueup.diagnose.tuning import SELECTION
 from trueup.fit.rollout_fit import RolloutFit
+from trueup.model.block import kind
 from trueup.model.corrected import Corrected
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor
@@ -101,6 +103,38 @@ def best_of_the_alike(choice: Choice, yardstick: Yardstick) -> Choice:
         best = int(min(near, key=lambda i: (numbers_of(alike[i]), i != best)))
     others = (choice.winner, *(r for r in choice.rivals if r is not alike[best]))
     return replace(choice, winner=alike[best], rivals=others if best else choice.rivals)
+
+
+def without_idle(choice: Choice, yardstick: Yardstick) -> Choice:
+    """The choice without effects of a machine whose own intervals deny them and without which
+    predictions are about as good: such a part fits what is peculiar to some recordings."""
+    search, winner = yardstick.search, choice.winner
+    if choice.verdict is not Conclusion.EFFECT or not yardstick.recordings.criteria.of_machine:
+        return choice
+    for denied in _denied(winner):
+        rest = winner.hypothesis.without(denied)
+        if not rest.effects:
+            continue
+        smaller = search.fitted(rest, winner)
+        errors = yardstick.errors([winner, smaller])
+        if SELECTION.much_better * errors[1] <= errors[0]:
+            rivals = tuple(r for r in choice.rivals if r.hypothesis != rest)
+            return without_idle(replace(choice, winner=smaller, rivals=rivals), yardstick)
+    return choice
+
+
+def _denied(candidate: Candidate) -> list[str]:
+    """The effects of a candidate whose first number may be that of none, by its interval."""
+    fit = candidate.fit
+    values = dict(zip(fit.free.names, fit.free.at(fit.values), strict=True))
+    widths = half_widths(fit, fit)
+    denied = []
+    for t in candidate.hypothesis.effects:
+        number = kind(t).params[0]
+        value, width = values.get((t, number.name)), widths.get((t, number.name))
+        if value is not None and width is not None and abs(value - number.null) <= width:
+            denied.append(t)
+    return denied
 
 
 def predicts_worse(gap: Gap) -> bool:

@@ -16,6 +16,7 @@ from trueup.diagnose.by_prediction import (
     fallback,
     nominal_predictor,
     predicts_worse,
+    without_idle,
 )
 from trueup.diagnose.data_quality import assess
 from trueup.diagnose.explain import alternative, estimates, parameter_table, shares
@@ -161,6 +162,7 @@ def _diagnosis(
     selection = _Selection(recordings, search)
     yardstick = Yardstick(recordings, quality, search)
     choice = best_of_the_alike(selection.choice(), yardstick)
+    choice = without_idle(choice, yardstick)
     choice = second_look(choice, yardstick, yardstick.of(Nominal(plant)))
     nominal, problem = selection.nominal, search.problem
     progress("measuring on held-out episodes", 0.0)

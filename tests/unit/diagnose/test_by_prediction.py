@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from tests.support.simulated import recorded
-from trueup.diagnose.by_prediction import best_of_the_alike, fallback, predicts_worse
+from trueup.diagnose import by_prediction
+from trueup.diagnose.by_prediction import (
+    best_of_the_alike,
+    fallback,
+    predicts_worse,
+    without_idle,
+)
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.measure import Gap
 from trueup.diagnose.model_selection import Choice, Conclusion
@@ -113,3 +119,38 @@ def test_a_machine_that_changed_after_it_was_fitted_keeps_its_nominal_model():
         diagnosis.predictor.predict_batch(states, command),
         Nominal(plant).predict_batch(states, command),
     )
+
+
+def test_an_effect_that_its_interval_denies_and_predictions_do_not_miss_is_left_out(monkeypatch):
+    """Of the three effects one is denied and needed, and one is denied and idle."""
+
+    @dataclass(frozen=True, eq=False)
+    class Fitted:
+        hypothesis: Hypothesis
+        error: float
+
+    needed = {"coulomb_friction", "actuator_delay"}
+
+    def fitted(hypothesis, _):
+        return Fitted(hypothesis, 0.2 if needed <= set(hypothesis.effects) else 0.9)
+
+    winner = Fitted(Hypothesis(("actuator_delay", "constant_force", "coulomb_friction")), 0.2)
+    yardstick = Errors(of_machine=True)
+    yardstick.search.fitted = fitted
+    denied = ["coulomb_friction", "constant_force"]
+    monkeypatch.setattr(
+        by_prediction, "_denied", lambda c: [t for t in denied if t in c.hypothesis.effects]
+    )
+    choice = Choice(Conclusion.EFFECT, winner, (), 0.1)
+    assert set(without_idle(choice, yardstick).winner.hypothesis.effects) == needed
+    yardstick.recordings.criteria.of_machine = False
+    assert without_idle(choice, yardstick) is choice
+
+
+def test_an_interval_that_holds_no_effect_denies_it():
+    plant, episodes, _ = recorded("A1", ["coulomb_friction"], 11, runs=2)
+    search = diagnose(plant, episodes).search
+    true = search.candidates[Hypothesis(("coulomb_friction",))]
+    both = search.fitted(true.hypothesis | "constant_force", true)
+    assert by_prediction._denied(true) == []
+    assert by_prediction._denied(both) == ["constant_force"]
