@@ -74,7 +74,7 @@ class Recordings:
         return any("stage" in e.conditions for e in self.every)
 
     def as_of_a_machine(self) -> Recordings:
-        """The same recordings, judged as a machine's, whatever they declare."""
+        """These recordings judged as a machine's, whatever they declare."""
         adaptation, validation = (
             [replace(e, conditions={**e.conditions, "stage": "physical"}) for e in episodes]
             for episodes in (self.adaptation, self.validation)

@@ -138,16 +138,16 @@ def _incomplete(document: Mapping[str, Any]) -> str:
 def _carried(document: Mapping[str, Any]) -> str:
     """The mass that the new numbers are, and the links on which it would look the same; empty where
     they are none. An older report does not say."""
-    found = document.get("payload")
-    if not found:
+    payload = document.get("payload")
+    if not payload:
         return ""
-    low, high = found["mass"]["ci95"]
-    mass = plus_minus(found["mass"]["value"], (high - low) / 2.0)
-    across = found["centre"]["value"][:2]
+    low, high = payload["mass"]["ci95"]
+    mass = plus_minus(payload["mass"]["value"], (high - low) / 2.0)
+    across = payload["centre"]["value"][:2]
     away = ""
     if None not in across:
         away = f", {short(math.hypot(*across))} m from the axis of its joint"
-    first, *others = found["links"]
+    first, *others = payload["links"]
     text = f": they are those of {mass} kg more on the link of {first}{away}"
     return f"{text} (on that of {' or '.join(others)} it would look the same)" if others else text
 

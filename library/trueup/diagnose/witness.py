@@ -68,8 +68,8 @@ class Witness:
 def witnesses(plant: Plant, episodes: Sequence[Episode]) -> list[Witness]:
     """Of each joint whose logged effort follows its command what it says, in the order of the
     joints."""
-    found = (_witness(plant, episodes, joint) for joint in range(len(plant.joints)))
-    return [w for w in found if w is not None]
+    by_joint = (_witness(plant, episodes, joint) for joint in range(len(plant.joints)))
+    return [w for w in by_joint if w is not None]
 
 
 def _witness(plant: Plant, episodes: Sequence[Episode], joint: int) -> Witness | None:
