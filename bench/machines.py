@@ -49,6 +49,7 @@ PLAIN = {
 PEERS = {"mujoco.sysid": "joint_sysid", "FIGAROH": "joint_figaroh"}
 MODELS = "nominal", *PLAIN, *PEERS, "trueup"
 WINDOWS = 150  # at most that mujoco.sysid is given, evenly from all
+RAN_AWAY = 1000.0  # times the nominal model's error
 STEP_DIGITS = 6  # of a second
 ITERATIONS = 60
 
@@ -234,7 +235,10 @@ def table(name: str, plant: Plant, results: Sequence[Fold]) -> Iterator[list[str
         for model in MODELS:
             errors = [f.errors[model][i] for f in results if model in f.errors]
             full = len(errors) == len(results)
-            cells.append(f"{np.sqrt(np.mean(np.square(errors))):.3g}" if full else "–")
+            error = float(np.sqrt(np.mean(np.square(errors)))) if full else np.nan
+            least = np.nanmin([f.errors["nominal"][i] for f in results])
+            ran_away = error > RAN_AWAY * least
+            cells.append("ran away" if ran_away else f"{error:.3g}" if full else "–")
         yield [f"`{name}`", f"{channel.name} [{channel.unit}]", *cells]
 
 
