@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import ast
 import json
-import subprocess
 import tempfile
 import time
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.peers.case import TERMS
-from bench.peers.environment import HERE, peers_python
+from bench.peers.environment import HERE, run_peer
 from tests.support.simulated import episode_of, episodes_of, plant_of
 from trueup.blindtrial.scoring import Answer, score_answer
 from trueup.diagnose.data_quality import assess
@@ -170,7 +169,7 @@ def _named(names, others=()) -> Answer:
 
 def peers(found: list[Hidden]) -> dict[str, dict[str, Given]]:
     """Every peer's answers, by method and machine."""
-    python, given = peers_python(), {}
+    given = {}
     with tempfile.TemporaryDirectory() as temporary:
         cases = Path(temporary) / "cases"
         cases.mkdir()
@@ -178,14 +177,8 @@ def peers(found: list[Hidden]) -> dict[str, dict[str, Given]]:
             _write(cases / f"{m.name}.npz", m)
         for method, module in METHODS.items():
             out = Path(temporary) / module
-            out.mkdir()
             print(f"{method} …", flush=True)
-            subprocess.run(
-                [python, "-m", f"bench.peers.{module}", cases, out],
-                check=True,
-                stdout=subprocess.DEVNULL,
-                cwd=HERE.parent,
-            )
+            run_peer(module, cases, out)
             answers = {m.name: json.loads((out / f"{m.name}.json").read_text()) for m in found}
             given[method] = {
                 name: Given(_named(a["named"]), np.load(out / f"{name}.npy"), a["seconds"])

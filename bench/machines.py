@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.peers.environment import HERE, peers_python
+from bench.peers.environment import run_peer
 from bench.report import publish
 from trueup.diagnose.case import read_case
 from trueup.diagnose.data_quality import assess
@@ -123,7 +122,7 @@ def plain(diagnosis: Diagnosis, effects: Sequence[str]) -> Predictor | None:
 
 def peers(seen: Mapping[str, tuple[Diagnosis, Sequence[Episode]]]) -> dict[str, dict[str, Any]]:
     """What each peer answers to each fold, by peer and fold."""
-    python, answers = peers_python(), {}
+    answers = {}
     with tempfile.TemporaryDirectory() as temporary:
         cases = Path(temporary) / "cases"
         cases.mkdir()
@@ -131,14 +130,8 @@ def peers(seen: Mapping[str, tuple[Diagnosis, Sequence[Episode]]]) -> dict[str, 
             _write(cases / f"{name}.npz", diagnosis.plant, episodes)
         for peer, module in PEERS.items():
             out = Path(temporary) / module
-            out.mkdir()
             print(f"{peer} …", flush=True)
-            subprocess.run(
-                [python, "-m", f"bench.peers.{module}", cases, out],
-                check=True,
-                stdout=subprocess.DEVNULL,
-                cwd=HERE.parent,
-            )
+            run_peer(module, cases, out)
             answers[peer] = {n: json.loads((out / f"{n}.json").read_text()) for n in seen}
     return answers
 

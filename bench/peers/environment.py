@@ -21,3 +21,14 @@ def peers_python() -> Path:
         subprocess.run([python, "-m", "pip", "install", "-q", "-r", asked], check=True)
         stamp.write_text(asked.read_text())
     return python
+
+
+def run_peer(module: str, cases: Path, out: Path) -> None:
+    """Have a peer answer every case in a folder, into another that is made here."""
+    out.mkdir()
+    subprocess.run(
+        [peers_python(), "-m", f"bench.peers.{module}", cases, out],
+        check=True,
+        stdout=subprocess.DEVNULL,
+        cwd=HERE.parent,
+    )

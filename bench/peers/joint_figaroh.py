@@ -9,9 +9,6 @@ is a file `NAME.npz` as of joint_sysid. `python -m bench.peers.joint_figaroh CAS
 from __future__ import annotations
 
 import json
-import sys
-import time
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,6 +16,8 @@ import pinocchio as pin
 from figaroh.tools.regressor import RegressorBuilder, RegressorConfig
 from figaroh.tools.solver import solve_linear_system
 from scipy.signal import butter, filtfilt
+
+from bench.peers.answers import answer_all
 
 GRAVITY = 9.81
 ORDER, CUTOFF_HZ, NYQUIST_PART = 4, 20.0, 0.2
@@ -87,14 +86,5 @@ def identified(z) -> dict[str, float] | None:
     return {**numbers, "friction": max(found[DRY] / inertia, 0.0)}
 
 
-def main(cases: Path, out: Path) -> None:
-    """Answer every case."""
-    for case in sorted(cases.glob("*.npz")):
-        began = time.process_time()
-        numbers = identified(np.load(case))
-        answer = {"numbers": numbers, "seconds": time.process_time() - began}
-        (out / f"{case.stem}.json").write_text(json.dumps(answer))
-
-
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    answer_all(identified)

@@ -9,13 +9,12 @@ OUT`.
 from __future__ import annotations
 
 import json
-import sys
-import time
-from pathlib import Path
 
 import mujoco
 import numpy as np
 from mujoco import sysid
+
+from bench.peers.answers import answer_all
 
 ITERATIONS = 40
 GRAVITY = 9.81
@@ -109,14 +108,5 @@ def identified(z) -> dict[str, float]:
     return {name: float(p.value[0]) for name, p in fitted.items()}
 
 
-def main(cases: Path, out: Path) -> None:
-    """Answer every case."""
-    for case in sorted(cases.glob("*.npz")):
-        began = time.process_time()
-        numbers = identified(np.load(case))
-        answer = {"numbers": numbers, "seconds": time.process_time() - began}
-        (out / f"{case.stem}.json").write_text(json.dumps(answer))
-
-
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    answer_all(identified)

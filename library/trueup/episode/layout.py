@@ -52,8 +52,8 @@ class Layout:
 
     @property
     def efforts(self) -> tuple[Channel, ...]:
-        """What a recording may say on the observation topic of the effort at each commanded
-        joint."""
+        """The channels of measured efforts, one for each command; a recording may hold them on the
+        observation topic."""
         return tuple(
             Channel(f"effort of {c.name}", "", Field.EFFORT, c.joint) for c in self.commands
         )

@@ -65,9 +65,7 @@ class Track:
         `finite` and `clock`) where that is more than `MOST_OMITTED` of the topic.
         """
         times = self.stamp_ns if by_stamp else self.log_ns
-        has_values = ~np.isnan(self.values).all(axis=0)
-        broken = ~np.isfinite(self.values) & has_values
-        repeats = np.append(False, np.diff(times) == 0)
+        broken, repeats = self._flaws(by_stamp=by_stamp)
         omissions = [
             self._omission(Reason.NOT_FINITE, column, times, channel)
             for column, channel in zip(broken.T, self.channels, strict=True)
@@ -85,10 +83,15 @@ class Track:
     def says_something(self, *, by_stamp: bool) -> NDArray[np.bool_]:
         """Which messages have a finite number of every channel that has any, and a time other than
         that of the one before, `(n,)`."""
+        broken, repeats = self._flaws(by_stamp=by_stamp)
+        return np.asarray(~(broken.any(axis=1) | repeats))
+
+    def _flaws(self, *, by_stamp: bool) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which values are not finite although their channel has others that are, `(n, channels)`,
+        and which messages repeat the time of the one before, `(n,)`."""
         times = self.stamp_ns if by_stamp else self.log_ns
         has_values = ~np.isnan(self.values).all(axis=0)
-        broken = (~np.isfinite(self.values) & has_values).any(axis=1)
-        return np.asarray(~(broken | np.append(False, np.diff(times) == 0)))
+        return ~np.isfinite(self.values) & has_values, np.append(False, np.diff(times) == 0)
 
     def _omission(
         self,
