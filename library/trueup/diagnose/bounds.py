@@ -65,13 +65,13 @@ def bounds(
     named = [c.hypothesis for c in (choice.winner, *choice.rivals)]
     terms = [t for t in search.terms if not any(has_already(h, t) for h in named)]
     problem, fit = search.problem, choice.winner.fit
-    data, derivatives = problem.adaptation, None
+    data, near = problem.adaptation, None
     limit = (1.0 + alike) * choice.winner.total
     near_the_answer = [c for c in search if c.total <= limit]
     if problem.strategy.robot:  # where terms were screened is enough: every joint has its own
         near = problem.short_fit(fit)
-        data, fit, derivatives = problem.short, near.fit, near.derivatives
-    shown = problem.shown_freely(fit, data, derivatives)
+        data, fit = problem.short, near.fit
+    shown = problem.shown_freely(fit, data, near)
     alone = in_parallel(lambda t: _bound(search, shown(t), fit, t, plant), terms)
     every = [_beside(b, t, near_the_answer, plant) for t, b in zip(terms, alone, strict=True)]
     return [b for b in every if b.value is not None], [b for b in every if b.value is None]

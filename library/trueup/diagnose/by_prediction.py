@@ -9,48 +9,65 @@ and what predicts worse than the nominal model or its refitted form is no answer
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
 
 from trueup.cores import in_parallel
 from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.data_quality import DataQuality
 from trueup.diagnose.filtering import corrected
 from trueup.diagnose.intervals import half_widths
-from trueup.diagnose.measure import Gap, held_out_error
+from trueup.diagnose.measure import (
+    Gap,
+    held_out_error,
+    knows_beginnings,
+    squared_errors,
+    windows_of,
+)
 from trueup.diagnose.model_selection import Choice, Conclusion, numbers_of
 from trueup.diagnose.problem_setup import Recordings
 from trueup.diagnose.search import Search
 from trueup.diagnose.tuning import SELECTION
+from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.block import kind
 from trueup.model.corrected import Corrected
+from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor
 from trueup.model.series import Scheme
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class Yardstick:
-    """What turns candidates of a search into predictors, and measures them."""
+    """What turns candidates of a search into predictors, and measures them. A predictor is `made`
+    once, for its filter takes many rollouts."""
 
     recordings: Recordings
     quality: DataQuality
     search: Search
+    made: dict[tuple[Hypothesis, bytes, Scheme], Corrected] = field(default_factory=dict)
+
+    def corrected(self, fit: RolloutFit, scheme: Scheme | None = None) -> Corrected:
+        """The predictor of a fit, under the search's scheme of integration or another. Raises
+        LinAlgError where its numbers are so far off that it has no filter."""
+        recordings, scheme = self.recordings, scheme or self.search.problem.scheme
+        key = fit.hypothesis, fit.values.tobytes(), scheme
+        if key not in self.made:
+            self.made[key] = corrected(
+                recordings.plant, self.quality, fit, scheme, recordings.adaptation
+            )
+        return self.made[key]
 
     def predictor(self, fit: RolloutFit, scheme: Scheme | None = None) -> Corrected | None:
-        """The predictor of a fit, under the search's scheme of integration or another; None where
-        its numbers are so far off that it has no filter."""
-        recordings = self.recordings
+        """The predictor of a fit, None where it has no filter."""
         try:
-            return corrected(
-                recordings.plant,
-                self.quality,
-                fit,
-                scheme or self.search.problem.scheme,
-                recordings.adaptation,
-            )
+            return self.corrected(fit, scheme)
         except np.linalg.LinAlgError:
             return None
 
@@ -70,6 +87,39 @@ class Yardstick:
     def errors(self, candidates: Sequence[Candidate]) -> list[float]:
         """The errors of candidates."""
         return list(in_parallel(self.error, candidates))
+
+    def by_window(
+        self, candidates: Sequence[Candidate], episodes: Sequence[Episode]
+    ) -> list[Array] | None:
+        """Logarithms of candidates' mean squared errors in each window of some episodes,
+        `(windows,)` each; None where one of them has no predictor.
+
+        So every window counts: mean squares are those of the few in which a motion is about to tip
+        over.
+        """
+        predictors = [p for p in (self.predictor(c.fit) for c in candidates) if p is not None]
+        if len(predictors) < len(candidates):
+            return None
+        plant, known = self.recordings.plant, all(map(knows_beginnings, predictors))
+        windows = windows_of(plant, episodes, plant.horizon_s, beginnings=known)
+        with np.errstate(divide="ignore"):
+            return [np.log(squared_errors(p, windows, self.quality.motion)) for p in predictors]
+
+    def misses(
+        self, part: Candidate, whole: Candidate, episodes: Sequence[Episode] | None = None
+    ) -> bool:
+        """Whether windows of some episodes, or of all, are predicted better by the whole than by a
+        part of it, by Wilcoxon's signed-rank test. Where there are too few windows for the test,
+        the whole is taken to be better."""
+        errors = self.by_window([part, whole], episodes or self.recordings.every)
+        if errors is None:
+            return True
+        with np.errstate(invalid="ignore"):
+            gained = errors[0] - errors[1]
+        gained = gained[np.isfinite(gained)]
+        if 0.5 ** len(gained) > SELECTION.chance:
+            return True
+        return bool(stats.wilcoxon(gained, alternative="greater").pvalue < SELECTION.chance)
 
 
 def nominal_predictor(plant: Plant, same_numbers: Predictor, yardstick: Yardstick) -> Corrected:
@@ -106,21 +156,48 @@ def best_of_the_alike(choice: Choice, yardstick: Yardstick) -> Choice:
 
 
 def without_idle(choice: Choice, yardstick: Yardstick) -> Choice:
-    """The choice without effects of a machine whose own intervals deny them and without which
-    predictions are about as good: such a part fits what is peculiar to some recordings."""
-    search, winner = yardstick.search, choice.winner
+    """The choice without effects of a machine that fit what is peculiar to some recordings: those
+    denied by their own intervals without which predictions are about as good, and those that the
+    predictions of most windows do not miss."""
+    winner = choice.winner
     if choice.verdict is not Conclusion.EFFECT or not yardstick.recordings.criteria.of_machine:
         return choice
     for denied in _denied(winner):
-        rest = winner.hypothesis.without(denied)
-        if not rest.effects:
+        smaller = _without(winner, {denied}, yardstick)
+        if smaller is None:
             continue
-        smaller = search.fitted(rest, winner)
         errors = yardstick.errors([winner, smaller])
         if SELECTION.much_better * errors[1] <= errors[0]:
-            rivals = tuple(r for r in choice.rivals if r.hypothesis != rest)
-            return without_idle(replace(choice, winner=smaller, rivals=rivals), yardstick)
+            return without_idle(_smaller(choice, smaller, yardstick), yardstick)
+    for name in dict.fromkeys(kind(t).name for t in winner.hypothesis.effects):
+        alike = {t for t in winner.hypothesis.effects if kind(t).name == name}
+        smaller = _without(winner, alike, yardstick)
+        if smaller is not None and not yardstick.misses(smaller, winner):
+            return without_idle(_smaller(choice, smaller, yardstick), yardstick)
     return choice
+
+
+def _without(winner: Candidate, terms: set[str], yardstick: Yardstick) -> Candidate | None:
+    """A composition without some of its terms, None where nothing is left of it."""
+    rest = winner.hypothesis
+    for t in terms:
+        rest = rest.without(t)
+    return yardstick.search.fitted(rest, winner) if rest.effects else None
+
+
+def _smaller(choice: Choice, winner: Candidate, yardstick: Yardstick) -> Choice:
+    """The choice with a part of its answer as the answer, which is partial where it leaves more
+    than an answer may."""
+    rivals = tuple(r for r in choice.rivals if r.hypothesis != winner.hypothesis)
+    left = max(choice.left, left_of(winner, yardstick.search.base))
+    partial = choice.partial or left > yardstick.recordings.criteria.unexplained
+    return replace(choice, winner=winner, rivals=rivals, left=left, partial=partial)
+
+
+def left_of(candidate: Candidate, base: Candidate) -> float:
+    """The part of the refitted gap that a candidate leaves on validation episodes."""
+    leaves, gap = candidate.reduced_chi_square - 1.0, base.reduced_chi_square - 1.0
+    return max(leaves, 0.0) / max(gap, 1e-12)
 
 
 def _denied(candidate: Candidate) -> list[str]:
@@ -154,8 +231,8 @@ def fallback(choice: Choice, yardstick: Yardstick, least: float) -> tuple[Choice
     nearest = [*some[: SELECTION.most_measured], search.base]
     errors = yardstick.errors(nearest)
     best = int(np.argmin(errors))
-    chosen, base = nearest[best], search.base
-    left = max(chosen.reduced_chi_square - 1.0, 0.0) / max(base.reduced_chi_square - 1.0, 1e-12)
+    chosen = nearest[best]
+    left = left_of(chosen, search.base)
     return (
         replace(choice, verdict=Conclusion.UNKNOWN, winner=chosen, rivals=(), left=left),
         errors[best] < SELECTION.no_better * least,

@@ -21,7 +21,6 @@ from trueup.diagnose.by_prediction import (
 from trueup.diagnose.data_quality import assess
 from trueup.diagnose.explain import alternative, estimates, parameter_table, shares
 from trueup.diagnose.explore import explore
-from trueup.diagnose.filtering import corrected
 from trueup.diagnose.final_refit import FinalRefit, final_refit
 from trueup.diagnose.identifiability import identifiability
 from trueup.diagnose.locate import locate
@@ -167,11 +166,11 @@ def _diagnosis(
     nominal, problem = selection.nominal, search.problem
     progress("measuring on held-out episodes", 0.0)
     refit = final_refit(recordings, problem, choice.winner)
-    predictor = corrected(plant, quality, refit.answer.fit, refit.scheme, adaptation)
+    predictor = yardstick.corrected(refit.answer.fit, refit.scheme)
     if yardstick.is_much_better(choice.winner, predictor):
         refit = FinalRefit(choice.winner, problem.scheme, choice.winner.fit)
-        predictor = corrected(plant, quality, refit.answer.fit, refit.scheme, adaptation)
-    refitted = corrected(plant, quality, search.base.fit, problem.scheme, adaptation)
+        predictor = yardstick.corrected(refit.answer.fit, refit.scheme)
+    refitted = yardstick.corrected(search.base.fit)
     same = yardstick.predictor(nominal, refit.scheme) or Nominal(plant)
     noise = Noise(quality.noise, quality.correlation)
     measured = partial(measure, Nominal(plant), same, refitted)

@@ -149,7 +149,7 @@ class _Exploration:
         if not self._may_ramp(scheme):
             return False
         _, keeps = self._problem(scheme, 1)
-        _, rises = self._problem(replace(scheme, ramped=True), 1)
+        _, rises = self._problem(replace(scheme, ramped=True), 1, near=keeps)
         self.ramps_leave = rises.total / max(keeps.total, 1e-300)
         return is_plainly_better(rises, keeps)
 
@@ -164,11 +164,14 @@ class _Exploration:
         self.progress("the nominal form refitted", 1.0)
         return Search(problem, self.recordings.terms, self.solve, {Hypothesis(): base})
 
-    def _problem(self, scheme: Scheme, parts: int) -> tuple[SearchProblem, Candidate]:
-        """The search problem under a scheme, and the nominal form refitted: set up once."""
+    def _problem(
+        self, scheme: Scheme, parts: int, near: Candidate | None = None
+    ) -> tuple[SearchProblem, Candidate]:
+        """The search problem under a scheme, and the nominal form refitted, from `near` where it is
+        known about: set up once."""
         if (scheme, parts) not in self._problems:
             setup = Setup(self.recordings, self.quality, scheme)
-            self._problems[scheme, parts] = setup.problem(parts)
+            self._problems[scheme, parts] = setup.problem(parts, near)
         return self._problems[scheme, parts]
 
     def _quality_by(self, search: Search) -> DataQuality | None:

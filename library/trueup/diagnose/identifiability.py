@@ -133,7 +133,7 @@ def identifiability(recordings: Recordings, problem: SearchProblem) -> Identifia
     near = problem.short_fit(base)
     excess = recordings.criteria.unexplained * max(near.fit.reduced_chi_square - 1.0, 0.0)
     noise = float(np.sqrt(1.0 + excess))
-    shown = problem.shown_freely(near.fit, problem.short, near.derivatives)
+    shown = problem.shown_freely(near.fit, problem.short, near)
     return Identifiability(
         _parameters(plant, problem, noise),
         list(in_parallel(lambda t: _effect(plant, problem, t, shown(t), noise), terms)),

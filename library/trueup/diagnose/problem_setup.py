@@ -39,7 +39,7 @@ from trueup.model.block import joint, kind, term
 from trueup.model.effect import Port, effects
 from trueup.model.plant import Plant
 from trueup.model.rounding import GUESS_BITS, rounded
-from trueup.model.series import Scheme, Series, series
+from trueup.model.series import Scheme, Series, mergeable, series
 
 
 @dataclass(frozen=True)
@@ -148,11 +148,17 @@ class Setup:
         ramps = self.recordings.plant.ramps(ramped=self.scheme.ramped).any()
         return 1 if ramps else thinning(self.quality, self.recordings.adaptation)
 
-    def problem(self, parts: int) -> tuple[SearchProblem, Candidate]:
+    @cached_property
+    def merged(self) -> int:
+        """How many declared steps are taken as one, where samples are thinned."""
+        return min(self.thinned_by, mergeable(self.recordings.plant)) if self.scheme.alpha else 1
+
+    def problem(self, parts: int, near: Candidate | None = None) -> tuple[SearchProblem, Candidate]:
         """The search problem, and the nominal form refitted, on windows of which so many `parts`
-        make one of full length, or more where the nominal form runs away."""
+        make one of full length, or more where the nominal form runs away; from where it was `near`
+        by, if anywhere."""
         length_s = self.recordings.window_s / parts
-        guesses = self._nominal_guesses()
+        guesses = self._nominal_guesses() if near is None else [self._numbers_of(near)]
         for part_s in length_s / 2.0 ** np.arange(SETUP.halvings + 1):
             fits = self.windowed_fits(float(part_s))
             base = fits.fit_nominal_form(guesses)
@@ -179,10 +185,14 @@ class Setup:
         return WindowedFits(
             fitter,
             self.recordings.strategy,
-            [series(plant, e, self.scheme, length_s) for e in adaptation],
-            [series(plant, e, self.scheme, length_s) for e in validation],
+            [series(plant, e, self.scheme, length_s, merged=self.merged) for e in adaptation],
+            [series(plant, e, self.scheme, length_s, merged=self.merged) for e in validation],
             length_s,
         )
+
+    def _numbers_of(self, candidate: Candidate) -> Sequence[float]:
+        """A candidate's parameters of the nominal form."""
+        return list(map(float, candidate.fit.values[: len(self.recordings.plant.parameters)]))
 
     def _nominal_guesses(self) -> list[Sequence[float]]:
         """Parameters from which the nominal form is fitted: the declared ones, and of a robot those
@@ -204,10 +214,9 @@ class Setup:
         }
         short_s, screened = SETUP.screening_window_s, adaptation
         if robot:
-            fits = replace(
-                fits,
-                pieces=in_pieces(plant, [*adaptation, *validation], fits.scheme, fits.length_s),
-            )
+            both = [*adaptation, *validation]
+            pieces = in_pieces(plant, both, fits.scheme, fits.length_s, self.merged)
+            fits = replace(fits, pieces=pieces)
             fewest_s = SETUP.fewest_samples * max(e.period_s for e in adaptation)
             short_s = min(short_s, max(fits.length_s / SETUP.pieces, fewest_s))
             screened = _screening_episodes(base, adaptation, len(plant.joints))
@@ -215,7 +224,7 @@ class Setup:
             short_s = min(short_s, fits.length_s)
         return SearchProblem(
             fits,
-            [series(plant, e, fits.scheme, short_s) for e in screened],
+            [series(plant, e, fits.scheme, short_s, merged=self.merged) for e in screened],
             base,
             plant.parameters,
             {t: guesses for t, (guesses, _) in periodic.items()},
@@ -224,11 +233,11 @@ class Setup:
 
 
 def in_pieces(
-    plant: Plant, episodes: Sequence[Episode], scheme: Scheme, length_s: float
+    plant: Plant, episodes: Sequence[Episode], scheme: Scheme, length_s: float, merged: int = 1
 ) -> dict[str, Series]:
     """A robot's windows of a length [s] in pieces, in which their starts are found, by episode
-    digest."""
-    return {e.digest: series(plant, e, scheme, length_s, SETUP.pieces) for e in episodes}
+    digest; so many declared steps `merged` into one."""
+    return {e.digest: series(plant, e, scheme, length_s, SETUP.pieces, merged) for e in episodes}
 
 
 def searchable(joints: Sequence[bool] = (True,)) -> list[str]:

@@ -116,14 +116,17 @@ class SearchProblem:
         return {n: near.screened[n] for n in names}
 
     def shown_freely(
-        self, parent: RolloutFit, data: Sequence[Series], derivatives: Derivatives | None = None
+        self, parent: RolloutFit, data: Sequence[Series], near: ShortFit | None = None
     ) -> Callable[[str], Screening]:
         """What a linear model expects of a term beside a parent whose windows may start elsewhere,
-        even where fits hold them: a bias that every start could take up is not shown."""
+        even where fits hold them: a bias that every start could take up is not shown. Where the
+        parent is a fit `near` another on short windows, what was screened there is known."""
         held = self.fitter.held
         fitter = self.fitter.freed() if held else self.fitter
-        kept = None if held else derivatives
-        return lambda of: screen(fitter, data, parent, of, kept)
+        kept = None if held or near is None else near.derivatives
+        screened = {} if held or near is None else dict(near.screened)
+        known = {t: of for t, of in screened.items() if t not in self.periodic}
+        return lambda of: known.get(of) or screen(fitter, data, parent, of, kept)
 
     def guesses(self, of: str) -> Sequence[Sequence[float]]:
         """Initial guesses of a term, in units of its numbers' scales."""
@@ -151,6 +154,9 @@ class SearchProblem:
             others = [np.concatenate([declared, b[len(declared) :]]) for b in begins]
             glances = [fit(b, iterations=SEARCH.glance_iterations) for b in [*begins, *others]]
             begins = [f.values for f in sorted(glances, key=lambda f: f.cost)[: len(begins)]]
+        elif self.strategy.robot:  # a fit of a machine's takes long: the best glance goes on
+            glances = [fit(b, iterations=SEARCH.glance_iterations) for b in begins]
+            begins = [min(glances, key=lambda f: f.cost).values]
         screened = [
             fit(b, iterations=SEARCH.screen_iterations, tolerance=SEARCH.screen_tolerance)
             for b in begins

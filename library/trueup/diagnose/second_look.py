@@ -4,8 +4,8 @@ acts all the same, by predictions, recording by recording.
 Fits on windows with starts of their own weigh what a prediction does not show, and recordings that
 are held out may be few and all of one kind. So the refitted nominal form and the best compositions
 are compared by predictions of every recording, those that were fitted left out one by one, as in
-leave-one-out cross-validation. Source: M. Stone, Journal of the Royal Statistical Society B 36
-(1974).
+leave-one-out cross-validation; of a robot by those of held-out windows. Source: M. Stone, Journal
+of the Royal Statistical Society B 36 (1974).
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from trueup.diagnose.model_selection import Choice, Conclusion
 from trueup.diagnose.tuning import SELECTION
 from trueup.diagnose.tuning_of_answers import SECOND_LOOK
 from trueup.episode.episode import Episode
+from trueup.model.block import kind
 from trueup.model.predictor import Predictor
 
 Array = NDArray[np.float64]
@@ -48,13 +49,15 @@ def second_look(choice: Choice, yardstick: Yardstick, nominal: float) -> Choice:
     at least twice as much, on nearly every recording, and with which none that were held out are
     worse.
 
-    Only where no composition was the answer, on a machine of one joint with some recordings to
+    Only where no composition was the answer, on a machine, and of one joint with some recordings to
     leave out. `nominal` is the error of the nominal model on held-out episodes.
     """
     recordings, search = yardstick.recordings, yardstick.search
     strategy = recordings.strategy
-    if choice.verdict is not Conclusion.UNKNOWN or strategy.robot or not strategy.physical:
+    if choice.verdict is not Conclusion.UNKNOWN or not strategy.physical:
         return choice
+    if strategy.robot:
+        return _of_robot(choice, yardstick, nominal)
     if len({e.recording for e in recordings.adaptation}) < SECOND_LOOK.fewest:
         return choice
     limit = SELECTION.no_better * min(nominal, yardstick.error(search.base))
@@ -74,6 +77,35 @@ def second_look(choice: Choice, yardstick: Yardstick, nominal: float) -> Choice:
     rivals = tuple(p.candidate for p in ranked if p is not best and p.total < alike)
     partial = left > recordings.criteria.unexplained
     return Choice(Conclusion.EFFECT, best.candidate, rivals, left, partial=partial)
+
+
+def _of_robot(choice: Choice, yardstick: Yardstick, nominal: float) -> Choice:
+    """The choice, or that of one kind of effect, at whichever joints of a robot: the one that
+    predicts held-out windows best, where those are certainly predicted better than by new numbers.
+
+    A robot's fits take long, so that none is made again; and its motions may be about to tip over,
+    so that windows are compared by the logarithms of their errors.
+    """
+    search, recordings = yardstick.search, yardstick.recordings
+    held_out, least = recordings.validation, yardstick.error(search.base)
+    limit = SELECTION.no_better * min(nominal, least)
+    alone = [c for c in search if len({kind(t) for t in c.hypothesis.effects}) == 1]
+    alone = sorted(alone, key=lambda c: c.total)[: SECOND_LOOK.compositions]
+    fair = [
+        c
+        for c, error in zip(alone, yardstick.errors(alone), strict=True)
+        if error <= limit and yardstick.misses(search.base, c, held_out)
+    ]
+    by_window = yardstick.by_window(fair, held_out)
+    if not fair or by_window is None or not np.isfinite(least):
+        return choice
+    best = fair[int(np.argmin([errors.mean() for errors in by_window]))]
+    left = (yardstick.error(best) / max(least, 1e-300)) ** 2
+    if left > SECOND_LOOK.leaves:
+        return choice
+    rivals = tuple(c for c in fair if c is not best and not yardstick.misses(c, best, held_out))
+    partial = left > recordings.criteria.unexplained
+    return Choice(Conclusion.EFFECT, best, rivals, left, partial=partial)
 
 
 def predictions(candidates: Sequence[Candidate], yardstick: Yardstick) -> list[Predicted]:

@@ -283,6 +283,9 @@ class SelectionTuning:
     much_better: float = number(
         0.9, "of the held-out error", "So much better an alternative predicts to be the answer."
     )
+    chance: float = number(
+        0.01, "probability", "So rarely would windows prefer an effect that does nothing."
+    )
     no_better: float = number(
         1.01, "of the held-out error", "An answer that predicts worse by more is none."
     )

@@ -68,11 +68,14 @@ def estimate_starts(
                 windows = np.where(of[:, None], tried[key].windows, now[key].windows)
                 memory = tried[key].memory if gained else now[key].memory
                 tried[key] = replace(tried[key], windows=windows, memory=memory)
-            after, _ = rollouts.evaluate(task, values, tried)
+            if rollouts.forgets(hypothesis):
+                after = best.mixed(after, better)
+            else:
+                after, _ = rollouts.evaluate(task, values, tried)
         before = best.cost
         gaining = [key for key in now if after.cost_of(key) < best.cost_of(key)]
         now = {**now, **{key: tried[key] for key in gaining}}
-        best = best.mixed(after, gaining)
+        best = best.mixed(after, {key: np.ones(len(better[key]), np.bool_) for key in gaining})
         small = not before - best.cost > tolerance * best.cost + NEGLIGIBLE
         settled = bool(np.isfinite(before)) and small
         converged = settled and all(of.all() for of in better.values())

@@ -10,7 +10,7 @@ section 2.4.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -86,13 +86,10 @@ class Errors:
         start, whose columns begin at `start`."""
         columns = np.array([*range(1, first + 1), *range(start, sums.shape[1])])
         from_ = lanes[columns - 1]
-        with np.errstate(over="ignore", invalid="ignore"):
-            rows = (out[:, :, from_] - out[:, :, :1]) * (inverse[from_] * self.weight[:, :, None])
-        return KeptDerivatives(
-            np.where(self.weight[:, :, None] > 0.0, rows, 0.0),
-            np.ascontiguousarray(sums[:, columns[:, None], columns]),
-            first,
-        )
+        rows = np.zeros((*out.shape[:2], len(columns)))
+        _derivatives(out, self.weight, inverse, from_, rows)
+        products = np.ascontiguousarray(sums[:, columns[:, None], columns])
+        return KeptDerivatives(rows, products, first)
 
     def renewed(self, out: Array, inverse: Array, lanes: Lanes, old: KeptDerivatives) -> Array:
         """Sums of outer products by window as `summed` gives them, of derivatives that were kept
@@ -155,12 +152,15 @@ class NormalEquations:
         """Cost of an episode, infinite where a rollout ran away."""
         return float(self.costs(episode).sum() + np.sum((self.began[episode] / self.scales) ** 2))
 
-    def mixed(self, other: NormalEquations, episodes: Iterable[str]) -> NormalEquations:
-        """These equations with some episodes' parts from another place."""
-        parts, began = (
-            {**mine, **{e: its[e] for e in episodes}}
-            for mine, its in ((self.parts, other.parts), (self.began, other.began))
-        )
+    def mixed(
+        self, other: NormalEquations, windows: Mapping[str, NDArray[np.bool_]]
+    ) -> NormalEquations:
+        """These equations with the parts of some windows, by episode, from another place; what an
+        episode's hidden states began with is from there where all of its windows are."""
+        parts, began = dict(self.parts), dict(self.began)
+        for key, of in windows.items():
+            parts[key] = np.where(of[:, None, None], other.parts[key], parts[key])
+            began[key] = other.began[key] if of.all() else began[key]
         return replace(self, parts=parts, began=began)
 
     def moves(self, damping: Mapping[str, Array]) -> dict[str, tuple[Array, Array]]:
@@ -187,10 +187,8 @@ class NormalEquations:
         stacked = np.concatenate(list(self.parts.values()))
         episode = np.repeat(np.arange(len(sizes)), sizes)
         own = stacked.shape[1] - (n + m + 1)
-        inverse, cross = (
-            np.empty((len(stacked), own, own)),
-            np.empty((len(stacked), own, n + m + 1)),
-        )
+        inverse = np.empty((len(stacked), own, own))
+        cross = np.empty((len(stacked), own, n + m + 1))
         total = np.zeros((len(sizes), n + m + 1, n + m + 1))
         _eliminate(stacked, episode, n + m + 1, damping, inverse, cross, total)
         if m:
@@ -345,20 +343,21 @@ def _costs(out, observed, weight, window_of, t_s, period_s, correlation, into): 
 
 
 @njit(cache=True, nogil=True)
+def _derivatives(out, weight, inverse, lanes, into):  # type: ignore[no-untyped-def]
+    """Derivatives by differences of lanes, weighed as errors are."""
+    for i in range(out.shape[0]):
+        for c in range(out.shape[1]):
+            if weight[i, c] > 0.0:
+                for b in range(len(lanes)):
+                    moved = out[i, c, lanes[b]] - out[i, c, 0]
+                    into[i, c, b] = moved * inverse[lanes[b]] * weight[i, c]
+
+
+@njit(cache=True, nogil=True)
 def _summed(  # type: ignore[no-untyped-def]
-    out,
-    observed,
-    weight,
-    window_of,
-    t_s,
-    period_s,
-    correlation,
-    inverse,
-    lanes,
-    against,
-    rows,
+    out, observed, weight, window_of, t_s, period_s, correlation, inverse, lanes, against, rows,
     into,
-):
+):  # fmt: skip
     """Outer products of (kept derivatives, error, fresh derivatives) summed over each window; those
     of the kept ones are there."""
     kept, size, channels = rows.shape[2], into.shape[1], observed.shape[1]

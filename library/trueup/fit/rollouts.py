@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Self
 
 import numpy as np
@@ -183,6 +184,11 @@ class Rollouts:
             p[self.block.memories[key]] += value
         return p
 
+    def forgets(self, hypothesis: Hypothesis) -> bool:
+        """Whether a window's rollout depends on its own start alone."""
+        kinds = [kind(t) for t in hypothesis.effects]
+        return not any(k.states or (k.delays() and k.port is Port.OBSERVATION) for k in kinds)
+
     def samples(self, data: Sequence[Series]) -> int:
         """Numbers that are compared."""
         return sum(
@@ -307,12 +313,9 @@ class Rollouts:
         `pasts` are the lanes and steps of hidden states' derivatives: inwards, for beyond its end a
         play has none.
         """
-        several = lanes.p.shape[1] > BLOCK and len(task.data) > 1
-        by_episode = list(
-            (in_parallel if several else map)(
-                lambda s: self._sums_of(task, lanes, s, starts[s.digest], pasts, old), task.data
-            )
-        )
+        several = (lanes.p.shape[1] > BLOCK or self.of_tree) and len(task.data) > 1
+        work = partial(self._sums_of, task, lanes, starts=starts, pasts=pasts, old=old)
+        by_episode = list((in_parallel if several else map)(work, task.data))
         linear = {
             s.digest: part
             for s, (_, part, _) in zip(task.data, by_episode, strict=True)
@@ -330,14 +333,14 @@ class Rollouts:
         task: Task,
         lanes: Lanes,
         s: Series,
-        start: Start,
+        starts: Mapping[str, Start],
         pasts: Mapping[tuple[str, str], tuple[int, float]],
         old: Derivatives | None,
     ) -> tuple[Array, KeptDerivatives | None, Array]:
         """Sums of outer products of one episode, its derivatives that may be kept, and what each
         lane costs."""
         on, inverse = switches(task.hypothesis, self.joints), lanes.inverse.copy()
-        block = lanes.p.copy()
+        block, start = lanes.p.copy(), starts[s.digest]
         errors = self.errors(s, task.hypothesis, block[:, 0])
         for key, value in start.memory.items():
             block[self.block.memories[key]] += value

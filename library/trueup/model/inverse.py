@@ -10,32 +10,28 @@ from numba.extending import register_jitable
 from trueup.model.block import BLOCK
 
 
-def invert_lanes(matrix: Any, into: Any, wide: Any) -> None:
-    """Inverses of symmetric positive definite matrices, both `(n, n x lanes)`; the matrices are
-    used up. `wide` is room for a row."""
-    n = len(matrix)
+def invert_lanes(matrix: Any, room: Any) -> None:
+    """Symmetric positive definite matrices `(n, n x lanes)` turned into their inverses. `room` is
+    for two rows of it: whole rows are what the compiler keeps in registers.
+    """
+    n, factor, solved = len(matrix), room[0], room[1]
     for i in range(n):
-        row = into[i]
-        for at in range(n * BLOCK):
-            row[at] = 0.0
-        identity = row[i * BLOCK : (i + 1) * BLOCK]
+        row, pivot = matrix[i], matrix[i, i * BLOCK : (i + 1) * BLOCK]
+        spread(pivot, factor)
         for lane in range(BLOCK):
-            identity[lane] = 1.0
-    for i in range(n):
-        spread(matrix[i, i * BLOCK : (i + 1) * BLOCK], wide)
-        pivot, solved = matrix[i], into[i]
+            pivot[lane] = 1.0
         for at in range(n * BLOCK):
-            pivot[at] /= wide[at]
+            solved[at] = row[at] / factor[at]
         for at in range(n * BLOCK):
-            solved[at] /= wide[at]
+            row[at] = solved[at]
         for j in range(n):
             if j != i:
-                spread(matrix[j, i * BLOCK : (i + 1) * BLOCK], wide)
-                below, result = matrix[j], into[j]
+                other, eliminated = matrix[j], matrix[j, i * BLOCK : (i + 1) * BLOCK]
+                spread(eliminated, factor)
+                for lane in range(BLOCK):
+                    eliminated[lane] = 0.0
                 for at in range(n * BLOCK):
-                    below[at] -= wide[at] * pivot[at]
-                for at in range(n * BLOCK):
-                    result[at] -= wide[at] * solved[at]
+                    other[at] -= factor[at] * solved[at]
 
 
 def spread(lanes: Any, wide: Any) -> None:

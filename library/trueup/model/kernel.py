@@ -128,8 +128,8 @@ def _compiled(made_of: str) -> Callable[..., None]:
         q, v, u, a = signals[Q], signals[V], signals[U], signals[A]
         level, q_at, v_at = signals[LEVEL], signals[Q_AT], signals[V_AT]
         own = p[first:]  # the effects' parameters
-        links, mass = np.zeros((n, LINK_ROWS * BLOCK)), np.zeros((n, n * BLOCK))
-        inverse_mass, wide = np.zeros((n, n * BLOCK)), np.zeros(n * BLOCK)
+        links, inverse_mass = np.zeros((n, LINK_ROWS * BLOCK)), np.zeros((n, n * BLOCK))
+        room, holding = np.zeros((2, n * BLOCK)), np.zeros(BLOCK)
         forces, free, held = np.zeros((n, BLOCK)), np.zeros((n, BLOCK)), np.zeros((n, BLOCK))
         nothing, beyond, push = np.zeros((n, BLOCK)), np.zeros((n, BLOCK)), np.zeros(n)
         for lane in range(BLOCK):
@@ -189,16 +189,18 @@ def _compiled(made_of: str) -> Callable[..., None]:
                     if family == TREE_FORM and p[at + SERVO, 0] != 0.0:
                         # effects change a servo's goal, or its drive, which acts on the error
                         goal(j, signals, common, memory, on, own)
-                        to_error(u[j], q_at[j], p[at + SERVO], p[at + GAIN], tree[j, OFFSET], wide)
+                        to_error(
+                            u[j], q_at[j], p[at + SERVO], p[at + GAIN], tree[j, OFFSET], holding,
+                        )  # fmt: skip
                         drive(j, signals, common, memory, on, own)
                         for lane in range(BLOCK):
-                            u[j, lane] += wide[lane]
+                            u[j, lane] += holding[lane]
                     else:
                         command(j, signals, common, memory, on, own)
                 nominal(signals, common, p, family, alpha, parts)
                 if family == TREE_FORM:
                     accelerate(
-                        p, tree, sizes, alpha, common, signals, links, mass, inverse_mass, wide,
+                        p, tree, sizes, alpha, common, signals, links, inverse_mass, room,
                         forces, beyond,
                     )  # fmt: skip
                     if parts:

@@ -24,19 +24,20 @@ def to_error(u: Any, q: Any, servo: Any, gains: Any, offset: Any, goal_here: Any
 
 
 def accelerate(
-    p: Any, tree: Any, sizes: Any, alpha: Any, common: Any, signals: Any, links: Any, mass: Any,
-    inverse_mass: Any, wide: Any, forces: Any, beyond: Any,
+    p: Any, tree: Any, sizes: Any, alpha: Any, common: Any, signals: Any, links: Any,
+    inverse_mass: Any, room: Any, forces: Any, beyond: Any,
 ) -> None:  # fmt: skip
     """Forces of a tree at each joint, as accelerations of the joint's own inertia, and the inverse
     mass matrix `inverse_mass`."""
     n = len(tree)
     q_at, v_at, v, u, a = signals[Q_AT], signals[V_AT], signals[V], signals[U], signals[A]
-    crba(tree, p, q_at, links, mass)
+    crba(tree, p, q_at, links, inverse_mass)  # the mass matrix, which is inverted in place
     for j in range(n):
-        own, damping = mass[j, j * BLOCK : (j + 1) * BLOCK], p[LINK * n + JOINT * j + DAMPING]
+        own = inverse_mass[j, j * BLOCK : (j + 1) * BLOCK]
+        damping = p[LINK * n + JOINT * j + DAMPING]
         for lane in range(BLOCK):
             own[lane] += (1.0 - alpha) * common[H, lane] * damping[lane]
-    invert_lanes(mass, inverse_mass, wide)
+    invert_lanes(inverse_mass, room)
     rnea(tree, v, links, forces)
     joint_forces(tree, p, u, q_at, v, forces)
     if alpha > 0.0:

@@ -49,10 +49,20 @@ DECLARED = Scheme(0.0, 1)
 def refined(plant: Plant) -> Scheme:
     """The symmetric scheme, on parts of the declared step no longer than FINE_S, and short against
     the nominal model's fastest oscillation."""
-    modes = np.linalg.eigvals(plant.dynamics.transition(np.array(plant.parameters), NEAR_S))
-    fastest = float(np.abs(np.angle(modes)).max()) / NEAR_S  # [rad/s]
-    by_mode = min(np.ceil(plant.timestep_s * fastest / FINE_RAD - 1e-9), MOST_PARTS)
+    by_mode = min(np.ceil(plant.timestep_s * _fastest(plant) / FINE_RAD - 1e-9), MOST_PARTS)
     return Scheme(0.5, int(max(1, np.ceil(plant.timestep_s / FINE_S - 1e-9), by_mode)))
+
+
+def mergeable(plant: Plant) -> int:
+    """How many declared steps the symmetric scheme may take as one, by the limits of `refined`."""
+    longest_s = FINE_RAD / max(_fastest(plant), FINE_RAD / FINE_S)
+    return max(1, int(longest_s / plant.timestep_s + 1e-9))
+
+
+def _fastest(plant: Plant) -> float:
+    """The nominal model's fastest oscillation [rad/s]."""
+    modes = np.linalg.eigvals(plant.dynamics.transition(np.array(plant.parameters), NEAR_S))
+    return float(np.abs(np.angle(modes)).max()) / NEAR_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,17 +96,22 @@ class Series:
 
 
 def series(
-    plant: Plant, episode: Episode, scheme: Scheme, window_s: float, parts: int = 1
+    plant: Plant,
+    episode: Episode,
+    scheme: Scheme,
+    window_s: float,
+    parts: int = 1,
+    merged: int = 1,
 ) -> Series:
     """An episode cut into windows of about `window_s` [s], all of one length; the last one ends
-    with the episode. Each in `parts`."""
+    with the episode. Each in `parts`; so many declared steps `merged` into one, where samples lie
+    so far apart."""
     t = episode.t_s
     begins = known_from(plant, episode)
     span = t[-1] - t[begins]
     count = max(1, round(span / window_s)) * parts
-    return whole(
-        plant, episode, scheme, starts_every(t[:-1], span / count * (1 + 1e-9), float(t[begins]))
-    )
+    first = starts_every(t[:-1], span / count * (1 + 1e-9), float(t[begins]))
+    return whole(plant, episode, scheme, first, merged=merged)
 
 
 def whole(
@@ -105,11 +120,12 @@ def whole(
     scheme: Scheme,
     first: NDArray[np.int64],
     begin: Array | None = None,
+    merged: int = 1,
 ) -> Series:
     """An episode with windows that start at the `first` samples `(windows,)`, from where they
     `begin`, else from smoothed states."""
     t = since_the_recording_began(episode)
-    h, steps = intervals(t, plant.timestep_s)
+    h, steps = intervals(t, merged * plant.timestep_s)
     observed = positions_and_velocities(plant, episode)
     resets = np.full(len(t), -1)
     resets[first] = np.arange(len(first))

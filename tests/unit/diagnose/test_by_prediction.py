@@ -9,6 +9,7 @@ import pytest
 from tests.support.simulated import recorded
 from trueup.diagnose import by_prediction
 from trueup.diagnose.by_prediction import (
+    Yardstick,
     best_of_the_alike,
     fallback,
     predicts_worse,
@@ -47,11 +48,15 @@ class Errors:
     """A yardstick that knows errors."""
 
     def __init__(self, candidates=(), base=None, *, of_machine=False):
-        self.recordings = SimpleNamespace(criteria=SimpleNamespace(of_machine=of_machine))
+        criteria = SimpleNamespace(of_machine=of_machine, unexplained=0.15)
+        self.recordings = SimpleNamespace(criteria=criteria)
         self.search = type("Search", (), {"base": base, "__iter__": lambda _: iter(candidates)})()
 
     def errors(self, candidates):
         return [c.error for c in candidates]
+
+    def misses(self, part, whole):
+        return True
 
 
 def gap(after, before=0.4, same=0.4, numbers=0.2):
@@ -128,6 +133,7 @@ def test_an_effect_that_its_interval_denies_and_predictions_do_not_miss_is_left_
     class Fitted:
         hypothesis: Hypothesis
         error: float
+        reduced_chi_square: float = 2.0
 
     needed = {"coulomb_friction", "actuator_delay"}
 
@@ -135,7 +141,7 @@ def test_an_effect_that_its_interval_denies_and_predictions_do_not_miss_is_left_
         return Fitted(hypothesis, 0.2 if needed <= set(hypothesis.effects) else 0.9)
 
     winner = Fitted(Hypothesis(("actuator_delay", "constant_force", "coulomb_friction")), 0.2)
-    yardstick = Errors(of_machine=True)
+    yardstick = Errors(base=SimpleNamespace(reduced_chi_square=11.0), of_machine=True)
     yardstick.search.fitted = fitted
     denied = ["coulomb_friction", "constant_force"]
     monkeypatch.setattr(
@@ -145,6 +151,50 @@ def test_an_effect_that_its_interval_denies_and_predictions_do_not_miss_is_left_
     assert set(without_idle(choice, yardstick).winner.hypothesis.effects) == needed
     yardstick.recordings.criteria.of_machine = False
     assert without_idle(choice, yardstick) is choice
+
+
+@pytest.mark.parametrize(("left", "partial"), [(2.0, False), (6.0, True)])
+def test_an_effect_that_most_windows_do_not_miss_is_left_out(monkeypatch, left, partial):
+    """Mean squares prefer the whole; what is left of it says by itself how much it leaves."""
+
+    @dataclass(frozen=True, eq=False)
+    class Fitted:
+        hypothesis: Hypothesis
+        error: float
+        reduced_chi_square: float = left
+
+    monkeypatch.setattr(by_prediction, "_denied", lambda _: [])
+    yardstick = Errors(base=SimpleNamespace(reduced_chi_square=11.0), of_machine=True)
+    yardstick.search.fitted = lambda hypothesis, _: Fitted(hypothesis, 0.9)
+    yardstick.misses = lambda part, _: "coulomb_friction" not in part.hypothesis.effects
+    terms = ("gain_asymmetry", "coulomb_friction", "gain_asymmetry@1", "coulomb_friction@1")
+    choice = Choice(Conclusion.EFFECT, Fitted(Hypothesis(terms), 0.2), (), 0.05)
+    after = without_idle(choice, yardstick)
+    assert after.winner.hypothesis.effects == ("coulomb_friction", "coulomb_friction@1")
+    assert after.left == pytest.approx((left - 1.0) / 10.0)
+    assert after.partial is partial
+
+
+def test_a_few_wild_windows_do_not_outvote_the_others(monkeypatch):
+    """The whole halves the error of the two windows in which it is largest, and makes all others
+    worse; then it makes all a little better."""
+    part = np.concatenate([np.full(18, 1e-3), [1.0, 2.0]])
+    wild = np.concatenate([np.full(18, 1.2e-3), [0.5, 1.0]])
+    errors = {"part": part, "wild": wild, "better": 0.9 * part}
+    monkeypatch.setattr(by_prediction, "knows_beginnings", lambda _: True)
+    monkeypatch.setattr(by_prediction, "windows_of", lambda *_, **__: [])
+    monkeypatch.setattr(by_prediction, "squared_errors", lambda p, *_: errors[p])
+    yardstick = Yardstick(
+        SimpleNamespace(plant=SimpleNamespace(horizon_s=1.0), every=[]),
+        SimpleNamespace(motion=None),
+        None,
+    )
+    monkeypatch.setattr(Yardstick, "predictor", lambda _, fit: fit)
+    of = {name: SimpleNamespace(fit=name) for name in errors}
+    assert not yardstick.misses(of["part"], of["wild"])
+    assert yardstick.misses(of["part"], of["better"])
+    errors["part"] = errors["better"] = part[:3]
+    assert yardstick.misses(of["part"], of["better"])  # three windows cannot tell
 
 
 def test_an_interval_that_holds_no_effect_denies_it():

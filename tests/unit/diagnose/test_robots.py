@@ -7,6 +7,7 @@ import pytest
 
 from tests.support.robots import PERIOD_S, arm_machine, arm_plant, recorded
 from trueup.artifact.artifact import pack, unpack
+from trueup.diagnose import problem_setup
 from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.data_quality import assess
 from trueup.diagnose.diagnosis import diagnose
@@ -17,6 +18,7 @@ from trueup.diagnose.problem_setup import Recordings, Setup
 from trueup.diagnose.search import Search
 from trueup.diagnose.spatial_periods import spatial_periods
 from trueup.diagnose.summary_text import warnings
+from trueup.diagnose.windowed_fits import trajectory
 from trueup.episode.role import Role
 from trueup.fit.base_parameters import directions
 from trueup.fit.fitter import Fitter
@@ -25,7 +27,15 @@ from trueup.fit.residual import fit_residual
 from trueup.model.block import BLOCK
 from trueup.model.hypothesis import Hypothesis, switches
 from trueup.model.predictor import Nominal, predict_observations
-from trueup.model.series import DECLARED, Scheme, roll, seen_by, series
+from trueup.model.series import (
+    DECLARED,
+    Scheme,
+    mergeable,
+    refined,
+    roll,
+    seen_by,
+    series,
+)
 from trueup.model.windows import cut, starts_every
 from trueup.simulate.robot import Follow, RobotPlan, rotor, run
 from trueup_pages.diagnosis import report_page
@@ -244,6 +254,24 @@ def test_a_joint_behind_a_spring_is_stepped_with_second_order(plant):
     coarse, fine = (off(p, on, parts) for parts in (1, 2))
     assert coarse < 0.02 * off(rigid, switches(Hypothesis(), 2), 1)
     assert fine < 0.35 * coarse
+
+
+def test_thinned_samples_are_rolled_out_in_merged_steps_that_differ_by_little(plant, monkeypatch):
+    """Where three samples become one, so do steps, no longer than the symmetric scheme allows."""
+    episodes = recorded(plant, rubs, range(2), ("adaptation", "validation"))
+    recordings = Recordings.of(plant, episodes)
+    setup = Setup(recordings, assess(plant, recordings.adaptation), refined(plant))
+    monkeypatch.setattr(problem_setup, "thinning", lambda *_: 3)
+    assert setup.thinned_by == 3
+    assert setup.merged == min(3, mergeable(plant))
+    assert Setup(recordings, setup.quality, DECLARED).merged == 1
+    problem, base = setup.problem(1)
+    (s,) = problem.adaptation
+    (apart,) = (series(plant, e, setup.scheme, problem.fits.length_s) for e in setup.episodes[0])
+    assert s.steps.sum() * setup.merged == pytest.approx(apart.steps.sum(), rel=0.05)
+    together, single = (trajectory(problem.fitter, base.fit, x) for x in (s, apart))
+    motion = np.std(single, axis=0)
+    assert (np.abs(together - single).max(axis=0) < 0.01 * motion).all()
 
 
 @pytest.mark.parametrize(("times", "astray"), [(3.0, False), (5.0, True)])

@@ -95,6 +95,50 @@ def test_it_is_for_machines_with_recordings_to_leave_out_that_nothing_explains(m
     assert kept.verdict is Conclusion.PARAMETERS_ONLY
 
 
+def of_robot(made, missed, by_window):
+    """A second look at a robot: `missed` says which candidates windows are predicted better by than
+    by another, `by_window` the mean logarithm of each one's errors."""
+    base = Made((), 0.5)
+    search = type("Search", (), {"base": base, "__iter__": lambda _: iter([base, *made])})()
+    yardstick = SimpleNamespace(
+        search=search,
+        recordings=SimpleNamespace(
+            strategy=SimpleNamespace(robot=True, physical=True), criteria=PHYSICAL, validation=[]
+        ),
+        error=lambda c: c.held_out,
+        errors=lambda candidates: [c.held_out for c in candidates],
+        misses=lambda part, whole, _: (part.names, whole.names) in missed,
+        by_window=lambda candidates, _: [np.array([by_window[c.names]]) for c in candidates],
+    )
+    return second_look(Choice(Conclusion.UNKNOWN, base, (), 0.7), yardstick, 0.6)
+
+
+def test_of_a_robot_the_kind_of_effect_that_predicts_most_windows_best_is_named():
+    both = Made(("coulomb_friction", "coulomb_friction@1"), 0.3)
+    one, uneven = Made(("coulomb_friction@1",), 0.34), Made(("gain_asymmetry",), 0.2)
+    pair = Made(("backlash", "coulomb_friction"), 0.1)
+    made = [uneven, one, both, pair]
+    by_window = {both.names: -3.0, one.names: -2.0, uneven.names: -1.0}
+    missed = {((), both.names), ((), one.names)}  # new numbers are worse than these
+    choice = of_robot(made, missed, by_window)
+    assert (choice.verdict, choice.winner, choice.rivals) == (Conclusion.EFFECT, both, (one,))
+    assert choice.left == pytest.approx(0.36)
+    assert choice.partial
+    told_apart = of_robot(made, {*missed, (one.names, both.names)}, by_window)
+    assert told_apart.rivals == ()
+
+
+@pytest.mark.parametrize(
+    ("held_out", "missed"), [(0.3, False), (0.45, True), (0.51, True)],
+    ids=["windows do not tell", "it leaves more than half", "it predicts worse"],
+)  # fmt: skip
+def test_else_a_robot_stays_unknown(held_out, missed):
+    made = Made(("coulomb_friction",), held_out)
+    known = {((), made.names)} if missed else set()
+    choice = of_robot([made], known, {made.names: -3.0})
+    assert choice.verdict is Conclusion.UNKNOWN
+
+
 def test_each_fitted_recording_is_predicted_by_a_fit_without_it():
     plant, episodes, _ = recorded_twice("A1", ["coulomb_friction"], 11)
     recordings = Recordings.of(plant, episodes)

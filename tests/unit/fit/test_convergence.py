@@ -93,6 +93,30 @@ def test_where_errors_grow_within_a_window_its_start_is_found_by_steps_as_short_
     assert fine.reduced_chi_square < 1.05
 
 
+def test_windows_that_forget_are_not_rolled_out_again_to_be_mixed(posed, monkeypatch):
+    """Some windows' tried starts are worse, and stay where they were: the same starts and cost as
+    by another rollout, which a composition that remembers takes."""
+    fitter, data, fit, _ = posed
+    assert fitter.forgets(FRICTION)
+    assert not fitter.forgets(Hypothesis(("hysteresis",)))
+    rng, astray = np.random.default_rng(5), {}
+    for s in data:
+        windows = fit.starts[s.digest].windows
+        off = rng.uniform(-1.0, 1.0, windows.shape) * [2e4, 2e5] * fitter.sigma
+        astray[s.digest] = Start(windows + off, {})
+    counted = []
+    evaluate = Fitter.evaluate
+    monkeypatch.setattr(Fitter, "evaluate", lambda *args: (counted.append(1), evaluate(*args))[1])
+    mixed = estimate_starts(fitter, data, FRICTION, fit.values, astray)
+    many = len(counted)
+    monkeypatch.setattr(Fitter, "forgets", lambda *_: False)
+    again = estimate_starts(fitter, data, FRICTION, fit.values, astray)
+    assert len(counted) - many > many
+    assert mixed.cost == again.cost
+    for key, start in mixed.starts.items():
+        assert (start.windows == again.starts[key].windows).all()
+
+
 def test_a_start_in_another_valley_is_found_around(posed):
     fitter, data, fit, _ = posed
     astray = {}
