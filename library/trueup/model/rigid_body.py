@@ -362,18 +362,16 @@ def project_friction(inverse_mass: Any, held: Any, v: Any, impulse: Any) -> None
     Computer Methods in Applied Mechanics and Engineering 177 (1999).
     """
     n = len(held)
-    rubs, several = np.zeros(n, np.bool_), 0
+    several = 0
     for j in range(n):
+        several += 1 if held[j].max() > 0.0 else 0
         for lane in range(BLOCK):
-            rubs[j] |= held[j, lane] > 0.0
             impulse[j, lane] = 0.0
-        several += 1 if rubs[j] else 0
-    by, moved = np.empty(BLOCK), np.empty(BLOCK)
+    by = np.empty(BLOCK)
     for _ in range(SWEEPS if several > 1 else several):
-        for lane in range(BLOCK):
-            moved[lane] = 0.0
+        largest = 0.0
         for j in range(n):
-            if not rubs[j]:
+            if held[j].max() <= 0.0:
                 continue
             own, most = block_of(inverse_mass[j], j), held[j]
             for lane in range(BLOCK):
@@ -381,14 +379,11 @@ def project_friction(inverse_mass: Any, held: Any, v: Any, impulse: Any) -> None
                 wanted = min(max(wanted, -most[lane]), most[lane])
                 by[lane] = wanted - impulse[j, lane]
                 impulse[j, lane] = wanted
-                moved[lane] = max(moved[lane], abs(by[lane]) * own[lane])
+                largest = max(largest, abs(by[lane]) * own[lane])
             for k in range(n):
                 there, coupled = v[k], block_of(inverse_mass[k], j)
                 for lane in range(BLOCK):
                     there[lane] += coupled[lane] * by[lane]
-        largest = 0.0  # of all lanes: compared once a sweep, for that goes lane by lane
-        for lane in range(BLOCK):
-            largest = max(largest, moved[lane])
         if largest < SETTLED:
             break
 

@@ -1,7 +1,7 @@
 """A second look at a machine that no composition explains: what certainly acts, by predictions of
 every recording."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -28,6 +28,7 @@ class Made:
     held_out: float
     errors: np.ndarray = field(default_factory=lambda: BASE)
     total: float = 1.0
+    numbers: int = 2
 
     @property
     def hypothesis(self):
@@ -35,7 +36,8 @@ class Made:
 
     @property
     def fit(self):
-        return SimpleNamespace(cost=self.total)
+        free = SimpleNamespace(rows=np.zeros(self.numbers))
+        return SimpleNamespace(cost=self.total, free=free, starts={})
 
 
 def looked(monkeypatch, made, *, physical=True, recordings=3, verdict=Conclusion.UNKNOWN):
@@ -107,7 +109,7 @@ def of_robot(made, missed, by_window):
         ),
         error=lambda c: c.held_out,
         errors=lambda candidates: [c.held_out for c in candidates],
-        misses=lambda part, whole, _: (part.names, whole.names) in missed,
+        misses=lambda part, whole, _=None: (part.names, whole.names) in missed,
         by_window=lambda candidates, _: [np.array([by_window[c.names]]) for c in candidates],
     )
     return second_look(Choice(Conclusion.UNKNOWN, base, (), 0.7), yardstick, 0.6)
@@ -126,6 +128,9 @@ def test_of_a_robot_the_kind_of_effect_that_predicts_most_windows_best_is_named(
     assert choice.partial
     told_apart = of_robot(made, {*missed, (one.names, both.names)}, by_window)
     assert told_apart.rivals == ()
+    plain = replace(one, numbers=1)
+    fewer = of_robot([uneven, plain, both], missed, by_window)
+    assert (fewer.winner, fewer.rivals) == (plain, (both,))
 
 
 @pytest.mark.parametrize(
