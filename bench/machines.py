@@ -188,9 +188,14 @@ def answer(diagnosis: Diagnosis) -> str:
     """The verdict in a few words."""
     document = json.loads(json.dumps(diagnosis.document))
     verdict = document["verdict"]
-    effects = " + ".join(e["effect"] for e in document["effects"])
-    rivals = [" + ".join(r) for r in document["indistinguishable"]]
+    effects = " + ".join(map(_effect, document["effects"]))
+    rivals = [" + ".join(map(_effect, r)) for r in document["indistinguishable"]]
     return " or ".join([effects or verdict, *rivals[:2]]) + (" …" if len(rivals) > 2 else "")
+
+
+def _effect(entry: str | Mapping[str, Any]) -> str:
+    """An effect's name; of a robot an entry says its joint, too."""
+    return entry if isinstance(entry, str) else str(entry["effect"])
 
 
 def main() -> None:
