@@ -9,6 +9,7 @@ from pathlib import Path
 import trueup
 from trueup.artifact.artifact import pack
 from trueup.artifact.model import save
+from trueup.cores import one_arena
 from trueup.diagnose.case import read_case
 from trueup.diagnose.diagnosis import Diagnosis, diagnose
 from trueup.diagnose.figures import figures
@@ -44,6 +45,7 @@ def run(case: Path, *, out: Path, seed: Seed = 0, as_json_: Json = False) -> Non
         case = written.folder
         if not as_json_:
             show_case(written)
+    one_arena()
     with progress("diagnose") as bar:
         bar(0.0, "reading the episodes")
         plant, episodes = read_case(case)

@@ -10,6 +10,7 @@ import sys
 import threading
 import uuid
 
+from trueup.cores import one_arena
 from trueup_service.engine import DBOS, DBOSConfig, DBOSPortableJSONSerializer, StepOptions
 from trueup_service.jobs import ENGINE_VERSION, HELP, QUEUE, WATCHING, WORKFLOW, plain_url
 from trueup_service.wiring import Parts
@@ -37,6 +38,7 @@ def work(parts: Parts, *, with_parent: bool = False) -> None:
 
     With `with_parent` it also ends when standard input closes, as it does when the parent dies.
     """
+    one_arena()
     name = f"{socket.gethostname()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
     liveness = liveness_of(parts)
     liveness.acquire(name)

@@ -1,0 +1,40 @@
+"""The memory of threads that share work."""
+
+import platform
+import subprocess
+import sys
+
+import pytest
+
+GROWS = """
+import resource
+from concurrent.futures import ThreadPoolExecutor
+from trueup.cores import one_arena
+
+granted = one_arena() if {asked} else False
+small = 100_000  # bytes: larger ones are no arena's
+
+def work(_):
+    return [bytearray(small) for _ in range(200)][-1]
+
+with ThreadPoolExecutor(8) as pool:
+    kept = list(pool.map(work, range(64)))
+with open("/proc/self/maps") as maps:
+    print(granted, sum(line.split()[1] == "---p" for line in maps))
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc has arenas")
+def test_threads_take_memory_from_one_arena():
+    """What an arena reserves and does not use yet cannot be read or written."""
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", GROWS.format(asked=asked)],
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.split()
+        for asked in (False, True)
+    ]
+    assert [granted for granted, _ in said] == ["False", "True"]
+    assert int(said[1][1]) < int(said[0][1]) - 4
