@@ -20,7 +20,7 @@ from trueup.cores import in_parallel
 from trueup.diagnose.by_prediction import Yardstick
 from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.measure import motion_of, squared_errors, windows_of
-from trueup.diagnose.model_selection import Choice, Conclusion, numbers_of
+from trueup.diagnose.model_selection import Choice, Conclusion
 from trueup.diagnose.tuning import SELECTION
 from trueup.diagnose.tuning_of_answers import SECOND_LOOK
 from trueup.episode.episode import Episode
@@ -80,9 +80,9 @@ def second_look(choice: Choice, yardstick: Yardstick, nominal: float) -> Choice:
 
 
 def _of_robot(choice: Choice, yardstick: Yardstick, nominal: float) -> Choice:
-    """The choice, or that of one kind of effect, at whichever joints of a robot, with which
-    held-out windows are certainly predicted better than by new numbers alone: the one that predicts
-    them best, or one with fewer numbers that all windows do not tell from it.
+    """The choice, or that of one kind of effect, at whichever joints of a robot: of those with
+    which held-out windows are certainly predicted better than by new numbers alone, the one that
+    fits best; the others are alternatives where windows do not tell them from it.
 
     A robot's fits take long, so that none is made again; and its motions may be about to tip over,
     so that windows are compared by the logarithms of their errors.
@@ -97,16 +97,13 @@ def _of_robot(choice: Choice, yardstick: Yardstick, nominal: float) -> Choice:
         for c, error in zip(alone, yardstick.errors(alone), strict=True)
         if error <= limit and yardstick.misses(search.base, c, held_out)
     ]
-    by_window = yardstick.by_window(fair, held_out)
-    if not fair or by_window is None or not np.isfinite(least):
+    if not fair or not np.isfinite(least):
         return choice
-    best = fair[int(np.argmin([errors.mean() for errors in by_window]))]
-    alike = [c for c in fair if c is best or not yardstick.misses(c, best)]
-    best = min(alike, key=lambda c: (numbers_of(c), c is not best))
+    best, *others = fair
     left = (yardstick.error(best) / max(least, 1e-300)) ** 2
     if left > SECOND_LOOK.leaves:
         return choice
-    rivals = tuple(c for c in alike if c is not best)
+    rivals = tuple(c for c in others if not yardstick.misses(c, best))
     partial = left > recordings.criteria.unexplained
     return Choice(Conclusion.EFFECT, best, rivals, left, partial=partial)
 

@@ -1,7 +1,7 @@
 """A second look at a machine that no composition explains: what certainly acts, by predictions of
 every recording."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from types import SimpleNamespace
 
 import numpy as np
@@ -28,7 +28,6 @@ class Made:
     held_out: float
     errors: np.ndarray = field(default_factory=lambda: BASE)
     total: float = 1.0
-    numbers: int = 2
 
     @property
     def hypothesis(self):
@@ -36,8 +35,7 @@ class Made:
 
     @property
     def fit(self):
-        free = SimpleNamespace(rows=np.zeros(self.numbers))
-        return SimpleNamespace(cost=self.total, free=free, starts={})
+        return SimpleNamespace(cost=self.total)
 
 
 def looked(monkeypatch, made, *, physical=True, recordings=3, verdict=Conclusion.UNKNOWN):
@@ -97,9 +95,9 @@ def test_it_is_for_machines_with_recordings_to_leave_out_that_nothing_explains(m
     assert kept.verdict is Conclusion.PARAMETERS_ONLY
 
 
-def of_robot(made, missed, by_window):
+def of_robot(made, missed):
     """A second look at a robot: `missed` says which candidates windows are predicted better by than
-    by another, `by_window` the mean logarithm of each one's errors."""
+    by which others."""
     base = Made((), 0.5)
     search = type("Search", (), {"base": base, "__iter__": lambda _: iter([base, *made])})()
     yardstick = SimpleNamespace(
@@ -110,27 +108,22 @@ def of_robot(made, missed, by_window):
         error=lambda c: c.held_out,
         errors=lambda candidates: [c.held_out for c in candidates],
         misses=lambda part, whole, _=None: (part.names, whole.names) in missed,
-        by_window=lambda candidates, _: [np.array([by_window[c.names]]) for c in candidates],
     )
     return second_look(Choice(Conclusion.UNKNOWN, base, (), 0.7), yardstick, 0.6)
 
 
-def test_of_a_robot_the_kind_of_effect_that_predicts_most_windows_best_is_named():
-    both = Made(("coulomb_friction", "coulomb_friction@1"), 0.3)
-    one, uneven = Made(("coulomb_friction@1",), 0.34), Made(("gain_asymmetry",), 0.2)
-    pair = Made(("backlash", "coulomb_friction"), 0.1)
+def test_of_a_robot_the_kind_of_effect_that_windows_certainly_need_and_fits_best_is_named():
+    both = Made(("coulomb_friction", "coulomb_friction@1"), 0.3, total=2.0)
+    one = Made(("coulomb_friction@1",), 0.34, total=3.0)
+    uneven = Made(("gain_asymmetry",), 0.2, total=1.0)
+    pair = Made(("backlash", "coulomb_friction"), 0.1, total=0.5)
     made = [uneven, one, both, pair]
-    by_window = {both.names: -3.0, one.names: -2.0, uneven.names: -1.0}
     missed = {((), both.names), ((), one.names)}  # new numbers are worse than these
-    choice = of_robot(made, missed, by_window)
+    choice = of_robot(made, missed)
     assert (choice.verdict, choice.winner, choice.rivals) == (Conclusion.EFFECT, both, (one,))
     assert choice.left == pytest.approx(0.36)
     assert choice.partial
-    told_apart = of_robot(made, {*missed, (one.names, both.names)}, by_window)
-    assert told_apart.rivals == ()
-    plain = replace(one, numbers=1)
-    fewer = of_robot([uneven, plain, both], missed, by_window)
-    assert (fewer.winner, fewer.rivals) == (plain, (both,))
+    assert of_robot(made, {*missed, (one.names, both.names)}).rivals == ()
 
 
 @pytest.mark.parametrize(
@@ -139,8 +132,7 @@ def test_of_a_robot_the_kind_of_effect_that_predicts_most_windows_best_is_named(
 )  # fmt: skip
 def test_else_a_robot_stays_unknown(held_out, missed):
     made = Made(("coulomb_friction",), held_out)
-    known = {((), made.names)} if missed else set()
-    choice = of_robot([made], known, {made.names: -3.0})
+    choice = of_robot([made], {((), made.names)} if missed else set())
     assert choice.verdict is Conclusion.UNKNOWN
 
 
