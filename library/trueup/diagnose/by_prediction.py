@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from trueup.cores import in_parallel
@@ -39,8 +38,6 @@ from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor
 from trueup.model.series import Scheme
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -88,33 +85,23 @@ class Yardstick:
         """The errors of candidates."""
         return list(in_parallel(self.error, candidates))
 
-    def by_window(
-        self, candidates: Sequence[Candidate], episodes: Sequence[Episode]
-    ) -> list[Array] | None:
-        """Logarithms of candidates' mean squared errors in each window of some episodes,
-        `(windows,)` each; None where one of them has no predictor.
-
-        So every window counts: mean squares are those of the few in which a motion is about to tip
-        over.
-        """
-        predictors = [p for p in (self.predictor(c.fit) for c in candidates) if p is not None]
-        if len(predictors) < len(candidates):
-            return None
-        plant, known = self.recordings.plant, all(map(knows_beginnings, predictors))
-        windows = windows_of(plant, episodes, plant.horizon_s, beginnings=known)
-        with np.errstate(divide="ignore"):
-            return [np.log(squared_errors(p, windows, self.quality.motion)) for p in predictors]
-
     def misses(
         self, part: Candidate, whole: Candidate, episodes: Sequence[Episode] | None = None
     ) -> bool:
         """Whether windows of some episodes, or of all, are predicted better by the whole than by a
-        part of it, by Wilcoxon's signed-rank test. Where there are too few windows for the test,
-        the whole is taken to be better."""
-        errors = self.by_window([part, whole], episodes or self.recordings.every)
-        if errors is None:
+        part of it, by Wilcoxon's signed-rank test of the logarithms of their errors.
+
+        So every window counts: mean squares are those of the few in which a motion is about to tip
+        over. Where there are too few windows for the test, the whole is taken to be better.
+        """
+        less, more = self.predictor(part.fit), self.predictor(whole.fit)
+        if less is None or more is None:
             return True
-        with np.errstate(invalid="ignore"):
+        plant, known = self.recordings.plant, knows_beginnings(less) and knows_beginnings(more)
+        recorded = episodes or self.recordings.every
+        windows = windows_of(plant, recorded, plant.horizon_s, beginnings=known)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            errors = [np.log(squared_errors(p, windows, self.quality.motion)) for p in (less, more)]
             gained = errors[0] - errors[1]
         gained = gained[np.isfinite(gained)]
         if 0.5 ** len(gained) > SELECTION.chance:

@@ -167,8 +167,8 @@ class _Exploration:
     def _problem(
         self, scheme: Scheme, parts: int, near: Candidate | None = None
     ) -> tuple[SearchProblem, Candidate]:
-        """The search problem under a scheme, and the nominal form refitted, from `near` where it is
-        known about: set up once."""
+        """The search problem under a scheme, and the nominal form refitted, from `near`, its fit
+        under another scheme, where that is given: set up once."""
         if (scheme, parts) not in self._problems:
             setup = Setup(self.recordings, self.quality, scheme)
             self._problems[scheme, parts] = setup.problem(parts, near)

@@ -155,8 +155,8 @@ class Setup:
 
     def problem(self, parts: int, near: Candidate | None = None) -> tuple[SearchProblem, Candidate]:
         """The search problem, and the nominal form refitted, on windows of which so many `parts`
-        make one of full length, or more where the nominal form runs away; from where it was `near`
-        by, if anywhere."""
+        make one of full length, or more where the nominal form runs away. It is fitted from `near`,
+        the same form fitted under another scheme, where that is given."""
         length_s = self.recordings.window_s / parts
         guesses = self._nominal_guesses() if near is None else [self._numbers_of(near)]
         for part_s in length_s / 2.0 ** np.arange(SETUP.halvings + 1):

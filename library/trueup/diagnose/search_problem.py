@@ -124,9 +124,12 @@ class SearchProblem:
         held = self.fitter.held
         fitter = self.fitter.freed() if held else self.fitter
         kept = None if held or near is None else near.derivatives
-        screened = {} if held or near is None else dict(near.screened)
-        known = {t: of for t, of in screened.items() if t not in self.periodic}
-        return lambda of: known.get(of) or screen(fitter, data, parent, of, kept)
+        known = {} if held or near is None else near.screened  # periodic terms by other guesses
+        return lambda of: (
+            known[of]
+            if of in known and of not in self.periodic
+            else screen(fitter, data, parent, of, kept)
+        )
 
     def guesses(self, of: str) -> Sequence[Sequence[float]]:
         """Initial guesses of a term, in units of its numbers' scales."""
