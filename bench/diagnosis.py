@@ -132,7 +132,8 @@ def house(machine: Hidden) -> dict[str, Given]:
     }
     began = time.monotonic()
     recordings = Recordings.of(plant, [*adaptation, *validation])
-    search, quality = explore(recordings, assess(plant, adaptation), lambda *_: None)
+    explored = explore(recordings, assess(plant, adaptation), lambda *_: None)
+    search, quality = explored.search, explored.searched.quality
     took = time.monotonic() - began
     candidates = [c for c in search if np.isfinite(c.total)]
     spread = max(min(c.total for c in candidates), 0.5)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import stats
@@ -36,7 +37,7 @@ from trueup.model.block import kind
 from trueup.model.corrected import Corrected
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
-from trueup.model.predictor import Predictor
+from trueup.model.predictor import Nominal, Predictor
 from trueup.model.series import Scheme
 
 
@@ -77,9 +78,17 @@ class Yardstick:
         """Root mean square error of a predictor's predictions of held-out episodes."""
         return held_out_error(predictor, self.recordings.validation)
 
-    def is_much_better(self, candidate: Candidate, predictor: Predictor) -> bool:
-        """Whether a candidate predicts much better than a predictor."""
-        return self.error(candidate) < SELECTION.much_better * self.of(predictor)
+    def is_spoilt(self, refitted: Predictor, candidate: Candidate) -> bool:
+        """Whether a refit of a candidate predicts much worse than the candidate itself, or worse
+        than the nominal model or its refitted form, and the candidate does not."""
+        before, after = self.error(candidate), self.of(refitted)
+        limit = SELECTION.no_better * min(self.nominal, self.error(self.search.base))
+        return before < SELECTION.much_better * after or before <= limit < after
+
+    @cached_property
+    def nominal(self) -> float:
+        """The error of the nominal model."""
+        return self.of(Nominal(self.recordings.plant))
 
     def errors(self, candidates: Sequence[Candidate]) -> list[float]:
         """The errors of candidates."""

@@ -33,7 +33,7 @@ from trueup.diagnose.problem_setup import Recordings
 from trueup.diagnose.report import Served, report
 from trueup.diagnose.residual_noise import noise_level
 from trueup.diagnose.search import Search
-from trueup.diagnose.second_look import second_look
+from trueup.diagnose.second_look import certain_of_the_rest, second_look
 from trueup.diagnose.tasks import Solve, in_threads
 from trueup.diagnose.tuning import SEARCH
 from trueup.episode.episode import Episode
@@ -135,7 +135,8 @@ def diagnose(
     by whoever may `solve` them; the answer is the same.
 
     Episodes that do not declare their stage are judged as a simulator's, whose laws are exact, and
-    where no composition explains them so, as a machine's.
+    where no composition explains them so, as a machine's. The few stretches of a machine's joint
+    that nothing explains by far are put aside, and the search is made without them.
     """
     progress("looking for faults in the log", 0.0)
     recordings = Recordings.of(plant, episodes)
@@ -153,21 +154,23 @@ def _diagnosis(
     progress: Progress,
     solve: Solve,
 ) -> Diagnosis:
-    plant, adaptation, validation = recordings.plant, recordings.adaptation, recordings.validation
+    plant = recordings.plant
     progress("looking at the episodes", 0.0)
-    quality = assess(plant, adaptation)
-    explored = explore(recordings, quality, progress, solve)
-    search, quality = explored.search, explored.quality
+    explored = explore(recordings, assess(plant, recordings.adaptation), progress, solve)
+    search, recordings = explored.search, explored.searched.recordings
+    quality, adaptation = explored.searched.quality, recordings.adaptation
+    validation = recordings.validation
     selection = _Selection(recordings, search)
     yardstick = Yardstick(recordings, quality, search)
     choice = best_of_the_alike(selection.choice(), yardstick)
     choice = without_idle(choice, yardstick)
-    choice = second_look(choice, yardstick, yardstick.of(Nominal(plant)))
+    choice = second_look(choice, yardstick)
+    choice = certain_of_the_rest(choice, yardstick)
     nominal, problem = selection.nominal, search.problem
     progress("measuring on held-out episodes", 0.0)
     refit = final_refit(recordings, problem, choice.winner)
     predictor = yardstick.corrected(refit.answer.fit, refit.scheme)
-    if yardstick.is_much_better(choice.winner, predictor):
+    if yardstick.is_spoilt(predictor, choice.winner):
         refit = FinalRefit(choice.winner, problem.scheme, choice.winner.fit)
         predictor = yardstick.corrected(refit.answer.fit, refit.scheme)
     refitted = yardstick.corrected(search.base.fit)
@@ -212,6 +215,7 @@ def _diagnosis(
         where=locate(plant, search, choice.winner, nominal, adaptation, validation),
         experiment=experiment,
         witnessed=recordings.witnesses,
+        put_aside=recordings.put_aside,
         judged_as=recordings.judged_as,
         episodes=episodes,
         findings=recordings.findings,

@@ -2,7 +2,8 @@
 
 Under each scheme of integration compositions of one effect are tried, then of two, and so on, until
 noise is all that is left. Where the residuals show that the noise differs from what was estimated
-first, the search is repeated with the new estimate.
+first, the search is repeated with the new estimate; and where something else acted in a few
+stretches of a machine's recordings, without those.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from trueup.diagnose.search import Search
 from trueup.diagnose.search_problem import SearchProblem
 from trueup.diagnose.strategy import PAIR
 from trueup.diagnose.tasks import Solve, in_threads
+from trueup.diagnose.trimming import unexplained_stretches
 from trueup.diagnose.tuning import DATA_QUALITY, SEARCH, SELECTION, SETUP
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.block import kind
@@ -32,14 +34,23 @@ Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
-class Explored:
-    """The search under the scheme of integration that explains the episodes best; the quality of
-    the data, with the noise that its residuals show; and what the refitted nominal form, or the
-    best composition, leaves where commands of undeclared hold are ramps, over what it leaves where
-    they keep their values: None where that was not compared."""
+class Searched:
+    """Recordings without what was put aside, and the quality of their data, with the noise that a
+    search's residuals show."""
 
-    search: Search
+    recordings: Recordings
     quality: DataQuality
+
+
+@dataclass(frozen=True)
+class Explored:
+    """What was `searched`; the search under the scheme of integration that explains it best; and
+    what the refitted nominal form, or the best composition, leaves where commands of undeclared
+    hold are ramps, over what it leaves where they keep their values: None where that was not
+    compared."""
+
+    searched: Searched
+    search: Search
     ramps_leave: float | None
 
 
@@ -47,37 +58,37 @@ def explore(
     recordings: Recordings, quality: DataQuality, progress: Progress, solve: Solve = in_threads
 ) -> Explored:
     """Search the compositions of effects that explain the episodes."""
-    for _ in range(SEARCH.noise_looks):
-        exploration = _Exploration(recordings, quality, progress, solve)
+    searched = Searched(recordings, quality)
+    for _ in range(SEARCH.looks):
+        exploration = _Exploration(searched, progress, solve)
         search, better_known = exploration.search()
         if better_known is None:
             break
-        quality = better_known
-    return Explored(search, quality, exploration.ramps_leave)
+        searched = better_known
+    return Explored(searched, search, exploration.ramps_leave)
 
 
 def unexplored(
     recordings: Recordings, quality: DataQuality, progress: Progress = lambda _stage, _part: None
 ) -> Search:
     """The search with which an exploration begins: the nominal form refitted, and nothing else."""
-    exploration = _Exploration(recordings, quality, progress, in_threads)
-    return exploration.first()
+    return _Exploration(Searched(recordings, quality), progress, in_threads).first()
 
 
 class _Exploration:
     """One search of recordings, by what is known of the quality of their data."""
 
-    def __init__(
-        self, recordings: Recordings, quality: DataQuality, progress: Progress, solve: Solve
-    ) -> None:
-        self.recordings, self.quality = recordings, quality
-        self.criteria, self.strategy = recordings.criteria, recordings.strategy
-        self.effort, self.progress, self.solve = recordings.strategy.effort, progress, solve
+    def __init__(self, searched: Searched, progress: Progress, solve: Solve) -> None:
+        self.searched = searched
+        self.recordings, self.quality = searched.recordings, searched.quality
+        self.criteria, self.strategy = self.recordings.criteria, self.recordings.strategy
+        self.effort, self.progress, self.solve = self.strategy.effort, progress, solve
         self.ramps_leave: float | None = None
         self._problems: dict[tuple[Scheme, int], tuple[SearchProblem, Candidate]] = {}
 
-    def search(self) -> tuple[Search, DataQuality | None]:
-        """The best search; and where residuals show another noise, the quality with that."""
+    def search(self) -> tuple[Search, Searched | None]:
+        """The best search; and where residuals show another noise, or stretches that nothing
+        explains, what is to be searched instead."""
         best: Search | None = None
         parts = 1
         for scheme in self._schemes():
@@ -85,7 +96,7 @@ class _Exploration:
             if best is not None and self.strategy.robot and not _is_promising(search, best):
                 break
             generation = self._singles(search)
-            better_known = self._quality_by(search) if best is None else None
+            better_known = self._better_known(search) if best is None else None
             if better_known is not None:
                 return search, better_known
             if best is None and went_astray(search):
@@ -103,7 +114,7 @@ class _Exploration:
             self._grow(otherwise, self._singles(otherwise))
             if _least_total(otherwise) < _least_total(best):
                 best = otherwise
-        return best, self._quality_by(best)
+        return best, self._with_quality_by(best)
 
     def _held_otherwise(self, best: Search) -> Search | None:
         """A search with commands of undeclared hold as ramps where they were steps, or the other
@@ -174,9 +185,19 @@ class _Exploration:
             self._problems[scheme, parts] = setup.problem(parts, near)
         return self._problems[scheme, parts]
 
-    def _quality_by(self, search: Search) -> DataQuality | None:
+    def _better_known(self, search: Search) -> Searched | None:
+        """What is to be searched after a look at compositions of one effect, None where it is as it
+        was."""
+        if self.strategy.may_be_trimmed and not self.recordings.put_aside:
+            rest = self.recordings.without(unexplained_stretches(search))
+            if rest is not None:
+                return Searched(rest, self.quality)
+        return self._with_quality_by(search)
+
+    def _with_quality_by(self, search: Search) -> Searched | None:
         best = min(search, key=lambda c: c.total)
-        return quality_by_residuals(self.quality, search.problem.fits, best)
+        quality = quality_by_residuals(self.quality, search.problem.fits, best)
+        return None if quality is None else replace(self.searched, quality=quality)
 
     def _is_enough(self, candidate: Candidate, search: Search) -> bool:
         return nothing_left(candidate, search.base, self.criteria)

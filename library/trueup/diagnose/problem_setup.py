@@ -23,6 +23,7 @@ from trueup.diagnose.model_selection import SelectionCriteria, selection_criteri
 from trueup.diagnose.search_problem import SearchProblem
 from trueup.diagnose.spatial_periods import spatial_periods
 from trueup.diagnose.strategy import Strategy, strategy_for
+from trueup.diagnose.trimming import Stretch, without
 from trueup.diagnose.tuning import SETUP
 from trueup.diagnose.windowed_fits import WindowedFits
 from trueup.diagnose.witness import Witness, witnesses
@@ -46,12 +47,13 @@ from trueup.model.series import Scheme, Series, mergeable, series
 class Recordings:
     """A plant with the episodes that are fitted and those that compare, each in the order of their
     digests: however they were handed in, the report is the same. `findings` are what is wrong with
-    them; what says nothing is left out of them."""
+    them; what says nothing is left out of them, and so is what was `put_aside`."""
 
     plant: Plant
     adaptation: Sequence[Episode]
     validation: Sequence[Episode]
     findings: Sequence[Finding] = ()
+    put_aside: Sequence[Stretch] = ()
 
     @staticmethod
     def of(plant: Plant, episodes: Sequence[Episode]) -> Recordings:
@@ -80,6 +82,19 @@ class Recordings:
             for episodes in (self.adaptation, self.validation)
         )
         return replace(self, adaptation=adaptation, validation=validation)
+
+    def without(self, stretches: Sequence[Stretch]) -> Recordings | None:
+        """These recordings without some stretches; None where nothing is left to fit, or to compare
+        on."""
+        adaptation, validation = (
+            [part for e in episodes for part in without(e, stretches, SETUP.fewest_samples)]
+            for episodes in (self.adaptation, self.validation)
+        )
+        if not (stretches and adaptation and validation):
+            return None
+        return replace(
+            self, adaptation=adaptation, validation=validation, put_aside=tuple(stretches)
+        )
 
     @property
     def every(self) -> list[Episode]:

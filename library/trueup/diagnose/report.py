@@ -19,6 +19,7 @@ from trueup.diagnose.model_selection import Choice, Conclusion
 from trueup.diagnose.next_experiment import Experiment
 from trueup.diagnose.payload import Payload
 from trueup.diagnose.search import Search
+from trueup.diagnose.trimming import Stretch
 from trueup.diagnose.witness import Witness
 from trueup.doctor.finding import Finding, documents
 from trueup.episode.episode import Episode
@@ -60,6 +61,7 @@ def report(
     shown: Identifiability,
     carried: Payload | None,
     witnessed: Sequence[Witness],
+    put_aside: Sequence[Stretch],
     judged_as: str,
     where: Mapping[str, Json],
     experiment: Experiment | None,
@@ -125,6 +127,7 @@ def report(
             },
             "judged_as": judged_as,
             "witnesses": [w.document() for w in witnessed],
+            "put_aside": [s.document() for s in put_aside],
             "holds": _holds(plant, search, ramps_leave),
             "convergence": _convergence(answer, *choice.rivals),
             "uses_of_validation": len(search.candidates),

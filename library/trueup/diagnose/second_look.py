@@ -11,7 +11,7 @@ of the Royal Statistical Society B 36 (1974).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,8 @@ from trueup.cores import in_parallel
 from trueup.diagnose.by_prediction import Yardstick
 from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.measure import motion_of, squared_errors, windows_of
-from trueup.diagnose.model_selection import Choice, Conclusion
+from trueup.diagnose.model_selection import Choice, Conclusion, numbers_of
+from trueup.diagnose.search import Search
 from trueup.diagnose.tuning import SELECTION
 from trueup.diagnose.tuning_of_answers import SECOND_LOOK
 from trueup.episode.episode import Episode
@@ -44,25 +45,24 @@ class Predicted:
         return float(self.errors.mean())
 
 
-def second_look(choice: Choice, yardstick: Yardstick, nominal: float) -> Choice:
+def second_look(choice: Choice, yardstick: Yardstick) -> Choice:
     """The choice, or that of a part that certainly acts: an effect without which predictions miss
     at least twice as much, on nearly every recording, and with which none that were held out are
     worse.
 
     Only where no composition was the answer, on a machine, and of one joint with some recordings to
-    leave out. `nominal` is the error of the nominal model on held-out episodes.
+    leave out.
     """
     recordings, search = yardstick.recordings, yardstick.search
     strategy = recordings.strategy
     if choice.verdict is not Conclusion.UNKNOWN or not strategy.physical:
         return choice
     if strategy.robot:
-        return _of_robot(choice, yardstick, nominal)
+        return _of_robot(choice, yardstick)
     if len({e.recording for e in recordings.adaptation}) < SECOND_LOOK.fewest:
         return choice
-    limit = SELECTION.no_better * min(nominal, yardstick.error(search.base))
-    singles = [c for c in search if len(c.hypothesis.effects) == 1 and np.isfinite(c.total)]
-    singles = sorted(singles, key=lambda c: c.fit.cost)[: SECOND_LOOK.compositions]
+    limit = SELECTION.no_better * min(yardstick.nominal, yardstick.error(search.base))
+    singles = _likely_alone(search)
     errors = yardstick.errors(singles)
     fair = [c for c, error in zip(singles, errors, strict=True) if error <= limit]
     if not fair:
@@ -70,8 +70,7 @@ def second_look(choice: Choice, yardstick: Yardstick, nominal: float) -> Choice:
     base, *ranked = predictions([search.base, *fair], yardstick)
     best = min(ranked, key=lambda p: p.total)
     left = best.total / max(base.total, 1e-300)
-    helps = float(np.mean(best.errors < base.errors))
-    if left > SECOND_LOOK.leaves or helps < SECOND_LOOK.on_most:
+    if not _certainly_acts(best, base):
         return choice
     alike = (1.0 + recordings.criteria.alike) * best.total
     rivals = tuple(p.candidate for p in ranked if p is not best and p.total < alike)
@@ -79,7 +78,39 @@ def second_look(choice: Choice, yardstick: Yardstick, nominal: float) -> Choice:
     return Choice(Conclusion.EFFECT, best.candidate, rivals, left, partial=partial)
 
 
-def _of_robot(choice: Choice, yardstick: Yardstick, nominal: float) -> Choice:
+def certain_of_the_rest(choice: Choice, yardstick: Yardstick) -> Choice:
+    """The choice; where stretches were put aside, only one that certainly acts by predictions of
+    every recording, for what is left of them was not chosen blindly. Of compositions that predict
+    alike the one with the fewest numbers is the answer, and the others are alternatives.
+    """
+    search, recordings = yardstick.search, yardstick.recordings
+    if not recordings.put_aside or choice.verdict is not Conclusion.EFFECT:
+        return choice
+    named = [choice.winner, *choice.rivals[: SELECTION.most_measured]]
+    others = [c for c in _likely_alone(search) if c not in named]
+    base, *ranked = predictions([search.base, *named, *others], yardstick)
+    best = min(ranked, key=lambda p: p.total)
+    if not _certainly_acts(best, base):
+        return replace(choice, verdict=Conclusion.UNKNOWN, rivals=(), partial=False)
+    limit = (1.0 + recordings.criteria.alike) * best.total
+    alike = [p.candidate for p in ranked if p.total <= limit]
+    answer = min(alike, key=lambda c: (numbers_of(c), c is not choice.winner))
+    return replace(choice, winner=answer, rivals=tuple(c for c in alike if c is not answer))
+
+
+def _likely_alone(search: Search) -> list[Candidate]:
+    """The compositions of one effect that fit best."""
+    singles = [c for c in search if len(c.hypothesis.effects) == 1 and np.isfinite(c.total)]
+    return sorted(singles, key=lambda c: c.fit.cost)[: SECOND_LOOK.compositions]
+
+
+def _certainly_acts(part: Predicted, base: Predicted) -> bool:
+    """Whether predictions without a part miss at least twice as much, on nearly every recording."""
+    helps = float(np.mean(part.errors < base.errors))
+    return part.total <= SECOND_LOOK.leaves * base.total and helps >= SECOND_LOOK.on_most
+
+
+def _of_robot(choice: Choice, yardstick: Yardstick) -> Choice:
     """The choice, or that of one kind of effect, at whichever joints of a robot: of those with
     which held-out windows are certainly predicted better than by new numbers alone, the one that
     fits best; the others are alternatives where windows do not tell them from it.
@@ -89,7 +120,7 @@ def _of_robot(choice: Choice, yardstick: Yardstick, nominal: float) -> Choice:
     """
     search, recordings = yardstick.search, yardstick.recordings
     held_out, least = recordings.validation, yardstick.error(search.base)
-    limit = SELECTION.no_better * min(nominal, least)
+    limit = SELECTION.no_better * min(yardstick.nominal, least)
     alone = [c for c in search if len({kind(t) for t in c.hypothesis.effects}) == 1]
     alone = sorted(alone, key=lambda c: c.total)[: SECOND_LOOK.compositions]
     fair = [

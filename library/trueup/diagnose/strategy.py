@@ -62,6 +62,8 @@ class Strategy:
     most_effects        how many effects a composition may have
     late_topics         whether a topic may be late beside so many effects
     physical            whether the episodes are a machine's
+    may_be_trimmed      whether stretches that nothing explains may be put aside: of a machine's
+                        joint; of a robot, which may tip over, every error may be large somewhere
     """
 
     effort: Effort
@@ -73,6 +75,7 @@ class Strategy:
     most_effects: int
     late_topics: bool
     physical: bool
+    may_be_trimmed: bool
 
 
 def strategy_for(plant: Plant, criteria: SelectionCriteria) -> Strategy:
@@ -97,6 +100,7 @@ def _of_joint(_: CompiledFamily, criteria: SelectionCriteria) -> Strategy:
         most_effects=criteria.most_effects,
         late_topics=criteria.of_machine,
         physical=criteria.of_machine,
+        may_be_trimmed=criteria.of_machine,
     )
 
 
@@ -112,4 +116,5 @@ def _of_robot(dynamics: CompiledTree, criteria: SelectionCriteria) -> Strategy:
         most_effects=PAIR,
         late_topics=False,
         physical=criteria.of_machine,
+        may_be_trimmed=False,
     )

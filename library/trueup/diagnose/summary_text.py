@@ -12,6 +12,7 @@ from trueup.diagnose.tuning_of_answers import EVIDENCE
 
 PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 MOST_NUMBERS = 3  # that a sentence names
+SHORT_DIGEST = 12  # digits of a recording's digest
 DIGITS = 2  # of an uncertainty that are worth writing
 SAME_NUMBERS, NEW_NUMBERS, NEAREST = "integration and start", "new numbers", "nearest composition"
 UNEXPLAINED, NOISE = "not explained", "noise floor"
@@ -52,7 +53,19 @@ def sentence(document: Mapping[str, Any]) -> str:
     others = document["indistinguishable"]
     if others:
         text += ". The data cannot tell this from " + ", or ".join(composition(o) for o in others)
-    return doubts + text + "."
+    return doubts + text + _put_aside(document) + "."
+
+
+def _put_aside(document: Mapping[str, Any]) -> str:
+    """Where something else acted, which the answer leaves out; an older report does not say."""
+    places = [
+        f"{short(s['from_s'])} to {short(s['to_s'])} s of {s['episode'][:SHORT_DIGEST]}"
+        for s in document.get("evidence", {}).get("put_aside", [])
+    ]
+    if not places:
+        return ""
+    what = "Left out, since no effect explains what happened there (a push from outside?)"
+    return f". {what}: {', '.join(places)}"
 
 
 def _doubts(document: Mapping[str, Any]) -> str:

@@ -208,7 +208,9 @@ class SearchTuning:
     hopeless_on_machine: float = number(
         0.6, "of the gap", "Where the best effect of a real robot leaves more, no second is tried."
     )
-    noise_looks: int = number(3, "searches", "At most, each with the noise of the one before.")
+    looks: int = number(
+        4, "searches", "At most, each with the noise of the one before, or without what it left."
+    )
     finer_steps: int = number(4, "for one of the search", "In the final refit.")
     exchanged: int = number(5, "terms", "That each effect of the best composition may give way to.")
     far_behind: float = number(4.0, "times the best reduced chi-square", "Not followed further.")

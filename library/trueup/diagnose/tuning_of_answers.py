@@ -112,6 +112,29 @@ class SecondLookTuning:
 
 
 @dataclass(frozen=True, slots=True)
+class TrimmingTuning:
+    """Windows of a machine's joint that something outside the model spoilt."""
+
+    kept: float = number(
+        0.85, "of the windows", "To which compositions are fitted; no more than the rest is spoilt."
+    )
+    ordinary: float = number(
+        4.0, "times the median cost of a window", "What costs less is kept in any case."
+    )
+    unexplained: float = number(
+        100.0,
+        "times the median cost of a window",
+        "Ten times the typical error, and more, is something else than a law that is a little off.",
+    )
+    as_good: float = number(
+        2.0, "times the best median", "Compositions whose typical window costs more do not count."
+    )
+    compositions: int = number(6, "of one effect", "Those with the best median.")
+    looks: int = number(4, "fits", "Each without the windows that the one before left most of.")
+    iterations: int = number(12, "iterations", "Of each.")
+
+
+@dataclass(frozen=True, slots=True)
 class PayloadTuning:
     """When the change of a robot's numbers is said to be that of a mass on a link."""
 
@@ -152,6 +175,7 @@ FILTER = FilterTuning()
 EVIDENCE = EvidenceTuning()
 EXPERIMENT = ExperimentTuning()
 SECOND_LOOK = SecondLookTuning()
+TRIMMING = TrimmingTuning()
 PAYLOAD = PayloadTuning()
 WITNESS = WitnessTuning()
-GROUPS = (FILTER, EVIDENCE, EXPERIMENT, SECOND_LOOK, PAYLOAD, WITNESS)
+GROUPS = (FILTER, EVIDENCE, EXPERIMENT, SECOND_LOOK, TRIMMING, PAYLOAD, WITNESS)

@@ -23,6 +23,7 @@ from trueup.cores import in_parallel
 from trueup.fit.free_numbers import CORNER_STEP, STEP, Directions, Free
 from trueup.fit.lanes import Lanes, Task
 from trueup.fit.normal_equations import Errors, KeptDerivatives, NormalEquations
+from trueup.fit.observed_starts import observed_starts
 from trueup.fit.rollout_fit import Start
 from trueup.model.block import BLOCK, joint, kind
 from trueup.model.dynamics import Form
@@ -160,17 +161,14 @@ class Rollouts:
         self, starts: Mapping[str, Start] | None, data: Sequence[Series], hypothesis: Hypothesis
     ) -> dict[str, Start]:
         """Where rollouts start: as given, or as observed; where they are held, as observed whatever
-        was given, and by positions alone a joint whose velocity the log hides.
+        was given.
         """
         given = {s.digest: (starts or {}).get(s.digest, Start(s.begin, {})) for s in data}
         if not self.held:
             return given
-        hidden = np.zeros(2 * self.joints, np.bool_)
-        hidden[[self.joints + joint(t) for t in hypothesis.effects if kind(t).hides_velocity]] = (
-            True
-        )
+        hidden = [joint(t) for t in hypothesis.effects if kind(t).hides_velocity]
         seen = np.isfinite(self.sigma)
-        observed = {s.digest: np.where(hidden, s.begin_by_positions, s.begin) for s in data}
+        observed = {s.digest: observed_starts(s, self.sigma, hidden) for s in data}
         return {
             key: replace(start, windows=np.where(seen, observed[key], start.windows))
             for key, start in given.items()

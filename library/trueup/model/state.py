@@ -8,6 +8,8 @@ fit; here at irregular times.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -43,6 +45,13 @@ def smoothed_states(
     return _states(plant, episode, rows, _span(episode) // 2, from_positions)
 
 
+def slope_deviation(period_s: float) -> float:
+    """Standard deviation of a smoothed velocity for positions with noise of standard deviation 1,
+    at a sampling period [s]."""
+    ahead = _samples_in_span(period_s) // 2
+    return 1.0 / (period_s * math.sqrt(ahead * (ahead + 1) * (2 * ahead + 1) / 3.0))
+
+
 def known_from(plant: Plant, episode: Episode) -> int:
     """The first sample at which the past gives the whole state: a velocity that nobody observes
     needs a span of positions."""
@@ -55,12 +64,12 @@ def is_observed(plant: Plant, episode: Episode) -> bool:
 
 
 def _span(episode: Episode) -> int:
-    """Samples in SPAN_S, within reason."""
-    return min(
-        max(LEAST_SAMPLES, round(SPAN_S / _period_s(episode.t_s)) + 1),
-        MOST_SAMPLES,
-        len(episode.t_s),
-    )
+    """Samples in SPAN_S, within reason and the episode."""
+    return min(_samples_in_span(_period_s(episode.t_s)), len(episode.t_s))
+
+
+def _samples_in_span(period_s: float) -> int:
+    return min(max(LEAST_SAMPLES, round(SPAN_S / period_s) + 1), MOST_SAMPLES)
 
 
 def _period_s(t_s: Array) -> float:

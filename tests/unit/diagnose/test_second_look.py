@@ -14,7 +14,12 @@ from trueup.diagnose.data_quality import assess
 from trueup.diagnose.explore import explore
 from trueup.diagnose.model_selection import PHYSICAL, Choice, Conclusion
 from trueup.diagnose.problem_setup import Recordings
-from trueup.diagnose.second_look import Predicted, predictions, second_look
+from trueup.diagnose.second_look import (
+    Predicted,
+    certain_of_the_rest,
+    predictions,
+    second_look,
+)
 from trueup.model.hypothesis import Hypothesis
 
 BASE = np.array([1.0, 2.0, 1.0, 4.0])
@@ -51,10 +56,11 @@ def looked(monkeypatch, made, *, physical=True, recordings=3, verdict=Conclusion
             criteria=PHYSICAL,
             adaptation=[SimpleNamespace(recording=str(i)) for i in range(recordings)],
         ),
+        nominal=0.6,
         error=lambda c: c.held_out,
         errors=lambda candidates: [c.held_out for c in candidates],
     )
-    return second_look(Choice(verdict, base, (), 0.7), yardstick, 0.6)
+    return second_look(Choice(verdict, base, (), 0.7), yardstick)
 
 
 def test_a_part_that_certainly_acts_is_named_though_its_law_is_incomplete(monkeypatch):
@@ -95,6 +101,34 @@ def test_it_is_for_machines_with_recordings_to_leave_out_that_nothing_explains(m
     assert kept.verdict is Conclusion.PARAMETERS_ONLY
 
 
+def of_the_rest(monkeypatch, winner, others, *, put_aside=True):
+    """What is said of an answer to recordings of which something was put aside."""
+    base = Made((), 0.5)
+    monkeypatch.setattr(
+        module, "predictions", lambda candidates, _: [Predicted(c, c.errors) for c in candidates]
+    )
+    monkeypatch.setattr(module, "numbers_of", lambda c: len(c.names))
+    search = type("Search", (), {"base": base, "__iter__": lambda _: iter([base, *others])})()
+    recordings = SimpleNamespace(put_aside=["a stretch"] * put_aside, criteria=PHYSICAL)
+    yardstick = SimpleNamespace(search=search, recordings=recordings)
+    return certain_of_the_rest(Choice(Conclusion.EFFECT, winner, (), 0.1), yardstick)
+
+
+def test_of_trimmed_recordings_what_predicts_alike_is_told_and_the_fewest_numbers_are_the_answer(
+    monkeypatch,
+):
+    pair = Made(("a", "b"), 0.1, 0.10 * BASE)
+    alone, worse = Made(("c",), 0.1, 0.11 * BASE), Made(("d",), 0.1, 0.2 * BASE)
+    choice = of_the_rest(monkeypatch, pair, [worse, alone])
+    assert (choice.verdict, choice.winner, choice.rivals) == (Conclusion.EFFECT, alone, (pair,))
+    assert of_the_rest(monkeypatch, pair, [alone], put_aside=False).winner is pair
+
+
+def test_of_trimmed_recordings_an_answer_must_certainly_act(monkeypatch):
+    faint = Made(("a",), 0.1, 0.6 * BASE)
+    assert of_the_rest(monkeypatch, faint, []).verdict is Conclusion.UNKNOWN
+
+
 def of_robot(made, missed):
     """A second look at a robot: `missed` says which candidates windows are predicted better by than
     by which others."""
@@ -105,11 +139,12 @@ def of_robot(made, missed):
         recordings=SimpleNamespace(
             strategy=SimpleNamespace(robot=True, physical=True), criteria=PHYSICAL, validation=[]
         ),
+        nominal=0.6,
         error=lambda c: c.held_out,
         errors=lambda candidates: [c.held_out for c in candidates],
         misses=lambda part, whole, _=None: (part.names, whole.names) in missed,
     )
-    return second_look(Choice(Conclusion.UNKNOWN, base, (), 0.7), yardstick, 0.6)
+    return second_look(Choice(Conclusion.UNKNOWN, base, (), 0.7), yardstick)
 
 
 def test_of_a_robot_the_kind_of_effect_that_windows_certainly_need_and_fits_best_is_named():
@@ -142,7 +177,7 @@ def test_each_fitted_recording_is_predicted_by_a_fit_without_it():
     explored = explore(recordings, assess(plant, recordings.adaptation), lambda *_: None)
     search = explored.search
     friction = search.candidates[Hypothesis(("coulomb_friction",))]
-    yardstick = Yardstick(recordings, explored.quality, search)
+    yardstick = Yardstick(recordings, explored.searched.quality, search)
     base, answer = predictions([search.base, friction], yardstick)
     assert base.errors.shape == answer.errors.shape == (len(episodes),)
     assert (answer.errors < 0.1 * base.errors).all()

@@ -1,0 +1,133 @@
+"""Trimming: stretches of a machine's recordings in which something outside the model acted, a hand
+or an obstacle.
+
+Sums of squares are those of their largest terms, so that one push hides from a search what acts
+everywhere else. Compositions are fitted once more by least trimmed squares: to the windows that
+each leaves least of. A window that none of them explains then, by far, is put aside. Source: P. J.
+Rousseeuw, Journal of the American Statistical Association 79 (1984).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueup.canonical import Json
+from trueup.cores import in_parallel
+from trueup.diagnose.candidate import Candidate
+from trueup.diagnose.search import Search
+from trueup.diagnose.tuning_of_answers import TRIMMING
+from trueup.episode.episode import Episode
+from trueup.fit.rollout_fit import RolloutFit
+from trueup.model.series import Series
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """A part of a recording, between two times [s] since the recording began."""
+
+    recording: str
+    from_s: float
+    to_s: float
+
+    def document(self) -> dict[str, Json]:
+        """The stretch as the report gives it."""
+        return {"episode": self.recording, "from_s": self.from_s, "to_s": self.to_s}
+
+
+def unexplained_stretches(search: Search) -> list[Stretch]:
+    """The windows of a machine's joint that no composition of one effect explains, even when it is
+    fitted without them; none where they are more than a few.
+
+    Compositions whose typical window is far worse than that of the best say nothing of a single
+    window.
+    """
+    problem = search.problem
+    data = [*problem.adaptation, *problem.validation]
+    sound = [c for c in search if len(c.hypothesis.effects) <= 1 and np.isfinite(c.total)]
+    likely = sorted(sound, key=lambda c: float(np.median(_costs(c))))[: TRIMMING.compositions]
+    costs = [_costs(c) for c in in_parallel(lambda c: _trimmed(search, c), likely)]
+    typical = [float(np.median(c)) for c in costs]
+    far_off = [
+        c > TRIMMING.unexplained * middle
+        for c, middle in zip(costs, typical, strict=True)
+        if middle <= TRIMMING.as_good * min(typical)
+    ]
+    aside = np.logical_and.reduce(far_off)
+    if not aside.any() or aside.mean() > 1.0 - TRIMMING.kept:
+        return []
+    by_episode = np.split(aside, np.cumsum([len(s.begin) for s in data])[:-1])
+    return [
+        stretch for s, flagged in zip(data, by_episode, strict=True) for stretch in _of(s, flagged)
+    ]
+
+
+def without(episode: Episode, stretches: Sequence[Stretch], fewest: int) -> list[Episode]:
+    """What is left of an episode, in parts of so many samples at least."""
+    since_s = episode.begins_s + episode.t_s
+    kept = np.ones(len(since_s), dtype=bool)
+    for s in stretches:
+        if s.recording == episode.recording:
+            kept &= (since_s < s.from_s) | (since_s >= s.to_s)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], kept.astype(int), [0]])))
+    return [
+        episode.part(int(first), int(last))
+        for first, last in edges.reshape(-1, 2)
+        if last - first >= fewest
+    ]
+
+
+def _costs(candidate: Candidate) -> Array:
+    """Costs of all windows, those that were fitted first, `(windows,)`."""
+    return np.concatenate([candidate.fit.costs, candidate.check.costs])
+
+
+def _trimmed(search: Search, candidate: Candidate) -> Candidate:
+    """The candidate fitted to those windows that it leaves least of, measured on all."""
+    fits, fit = search.problem.fits, candidate.fit
+    fixed = fits.resting(fit.values, fit.hypothesis.effects)
+    for _ in range(TRIMMING.looks):
+        limit = max(
+            np.quantile(fit.costs, TRIMMING.kept, method="inverted_cdf"),
+            TRIMMING.ordinary * np.median(fit.costs),
+        )
+        data = _masked(fits.adaptation, fit, float(limit))
+        values = fits.fitter.fit(
+            data,
+            fit.hypothesis,
+            fit.values,
+            fits.starts_after(data, fit),
+            iterations=TRIMMING.iterations,
+            fixed=fixed,
+        ).values
+        fit = fits.fitter.fit(
+            fits.adaptation,
+            fit.hypothesis,
+            values,
+            fits.starts_after(fits.adaptation, fit),
+            iterations=0,
+            fixed=fixed,
+        )
+    return fits.candidate(fit)
+
+
+def _masked(data: Sequence[Series], fit: RolloutFit, limit: float) -> list[Series]:
+    """Episodes without the samples of windows that cost a fit more than a limit."""
+    ends = np.cumsum([len(s.begin) for s in data])[:-1]
+    by_episode = np.split(fit.costs, ends)
+    return [
+        replace(s, usable=s.usable & ~np.isin(s.window_of, np.flatnonzero(costs > limit))[:, None])
+        for s, costs in zip(data, by_episode, strict=True)
+    ]
+
+
+def _of(s: Series, flagged: NDArray[np.bool_]) -> list[Stretch]:
+    """The flagged windows of an episode, in time."""
+    recording = s.digest.split(",", 1)[0]
+    ends = np.append(s.t_s[np.flatnonzero(s.resets >= 0)], s.t_s[-1] + s.period_s)
+    return [Stretch(recording, float(ends[w]), float(ends[w + 1])) for w in np.flatnonzero(flagged)]
