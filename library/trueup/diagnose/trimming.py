@@ -42,29 +42,37 @@ class Stretch:
 
 def unexplained_stretches(search: Search) -> list[Stretch]:
     """The windows of a machine's joint that no composition of one effect explains, even when it is
-    fitted without them; none where they are more than a few.
-
-    Compositions whose typical window is far worse than that of the best say nothing of a single
-    window.
+    fitted without them, nor of the best of those and another; none where they are more than a few.
     """
-    problem = search.problem
-    data = [*problem.adaptation, *problem.validation]
     sound = [c for c in search if len(c.hypothesis.effects) <= 1 and np.isfinite(c.total)]
-    likely = sorted(sound, key=lambda c: float(np.median(_costs(c))))[: TRIMMING.compositions]
-    costs = [_costs(c) for c in in_parallel(lambda c: _trimmed(search, c), likely)]
-    typical = [float(np.median(c)) for c in costs]
-    far_off = [
-        c > TRIMMING.unexplained * middle
-        for c, middle in zip(costs, typical, strict=True)
-        if middle <= TRIMMING.as_good * min(typical)
-    ]
-    aside = np.logical_and.reduce(far_off)
-    if not aside.any() or aside.mean() > 1.0 - TRIMMING.kept:
+    likely = sorted(sound, key=_typical)[: TRIMMING.compositions]
+    alone = list(in_parallel(lambda c: _trimmed(search, c), likely))
+    if not _unexplained(alone).any():
         return []
+    pairs = search.extend([min(alone, key=_typical)], search.terms, most=TRIMMING.beside)
+    together = [*alone, *in_parallel(lambda c: _trimmed(search, c), pairs)]
+    problem, aside = search.problem, _unexplained(together)
+    data = [*problem.adaptation, *problem.validation]
     by_episode = np.split(aside, np.cumsum([len(s.begin) for s in data])[:-1])
     return [
         stretch for s, flagged in zip(data, by_episode, strict=True) for stretch in _of(s, flagged)
     ]
+
+
+def _unexplained(candidates: Sequence[Candidate]) -> NDArray[np.bool_]:
+    """Windows that cost every candidate far more than its typical one, `(windows,)`; none where
+    they are more than a few. One whose typical window is far worse than that of the best says
+    nothing of a single window."""
+    best = min(map(_typical, candidates))
+    aside = np.logical_and.reduce(
+        [
+            _costs(c) > TRIMMING.unexplained * _typical(c)
+            for c in candidates
+            if _typical(c) <= TRIMMING.as_good * best
+        ]
+    )
+    few = bool(aside.mean() <= 1.0 - TRIMMING.kept)
+    return np.asarray(aside if few else np.zeros_like(aside))
 
 
 def without(episode: Episode, stretches: Sequence[Stretch], fewest: int) -> list[Episode]:
@@ -85,6 +93,11 @@ def without(episode: Episode, stretches: Sequence[Stretch], fewest: int) -> list
 def _costs(candidate: Candidate) -> Array:
     """Costs of all windows, those that were fitted first, `(windows,)`."""
     return np.concatenate([candidate.fit.costs, candidate.check.costs])
+
+
+def _typical(candidate: Candidate) -> float:
+    """The median cost of a window."""
+    return float(np.median(_costs(candidate)))
 
 
 def _trimmed(search: Search, candidate: Candidate) -> Candidate:

@@ -130,6 +130,7 @@ class TrimmingTuning:
         2.0, "times the best median", "Compositions whose typical window costs more do not count."
     )
     compositions: int = number(6, "of one effect", "Those with the best median.")
+    beside: int = number(9, "terms", "That screen best beside the best of those.")
     looks: int = number(4, "fits", "Each without the windows that the one before left most of.")
     iterations: int = number(12, "iterations", "Of each.")
 
