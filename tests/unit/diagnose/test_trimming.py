@@ -56,6 +56,13 @@ def test_nothing_is_put_aside_where_an_effect_explains_everything(machine):
     assert "push" not in sentence(document)
 
 
+def test_a_stop_that_is_met_in_few_windows_is_no_push():
+    plant, episodes, _ = recorded("B1", ["coulomb_friction", "hard_stop"], 2)
+    document = diagnose(plant, of_a_machine(episodes)).document
+    assert document["evidence"]["put_aside"] == []
+    assert {"coulomb_friction", "hard_stop"} == {e["effect"] for e in document["effects"]}
+
+
 def test_what_is_left_of_an_episode_are_its_parts_before_and_after(machine):
     _, episodes = machine
     episode = episodes[0]
