@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.hypothesis import Hypothesis
 
@@ -26,6 +29,11 @@ class Candidate:
     def minima(self) -> tuple[RolloutFit, ...]:
         """Every minimum, its own the first."""
         return self.fit, *self.others
+
+    @property
+    def costs(self) -> NDArray[np.float64]:
+        """Cost of every window, those that were fitted first, `(windows,)`."""
+        return np.concatenate([self.fit.costs, self.check.costs])
 
     @property
     def hypothesis(self) -> Hypothesis:

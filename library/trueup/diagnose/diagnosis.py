@@ -135,8 +135,8 @@ def diagnose(
     by whoever may `solve` them; the answer is the same.
 
     Episodes that do not declare their stage are judged as a simulator's, whose laws are exact, and
-    where no composition explains them so, as a machine's. The few stretches of a machine's joint
-    that nothing explains by far are put aside, and the search is made without them.
+    where no composition explains them so, as a machine's. Of a machine with one joint the few
+    stretches that every effect misses by far are put aside, and the search is made without them.
     """
     progress("looking for faults in the log", 0.0)
     recordings = Recordings.of(plant, episodes)

@@ -79,7 +79,6 @@ class _Exploration:
     """One search of recordings, by what is known of the quality of their data."""
 
     def __init__(self, searched: Searched, progress: Progress, solve: Solve) -> None:
-        self.searched = searched
         self.recordings, self.quality = searched.recordings, searched.quality
         self.criteria, self.strategy = self.recordings.criteria, self.recordings.strategy
         self.effort, self.progress, self.solve = self.strategy.effort, progress, solve
@@ -197,7 +196,7 @@ class _Exploration:
     def _with_quality_by(self, search: Search) -> Searched | None:
         best = min(search, key=lambda c: c.total)
         quality = quality_by_residuals(self.quality, search.problem.fits, best)
-        return None if quality is None else replace(self.searched, quality=quality)
+        return None if quality is None else Searched(self.recordings, quality)
 
     def _is_enough(self, candidate: Candidate, search: Search) -> bool:
         return nothing_left(candidate, search.base, self.criteria)
@@ -327,7 +326,7 @@ def is_plainly_better(one: Candidate, other: Candidate) -> bool:
     windows."""
     if not one.total - 1.0 < SEARCH.plainly_better * (other.total - 1.0):
         return False
-    costs = [np.concatenate([c.fit.costs, c.check.costs]) for c in (one, other)]
+    costs = [c.costs for c in (one, other)]
     if len(costs[0]) != len(costs[1]):
         return True
     return bool(np.mean(costs[0] < costs[1]) > SEARCH.on_most)

@@ -79,8 +79,7 @@ def covariance(fit: RolloutFit) -> Array:
     spread = inverse * max(fit.reduced_chi_square, 1.0)
     if fit.reduced_chi_square <= SELECTION.adequate:
         return spread
-    ends = np.cumsum([len(s.windows) for s in fit.starts.values()])[:-1]
-    recordings = np.array([part.sum(axis=0) for part in np.split(fit.scores, ends)])
+    recordings = np.array([part.sum(axis=0) for part in fit.split(fit.scores).values()])
     for scores, students in (
         (fit.scores, TWO_SIDED),
         (recordings, float(stdtrit(max(len(recordings) - 1, 1), TAIL))),

@@ -280,8 +280,7 @@ def _screening_episodes(
     by_episode = base.by_episode
     worst = sorted(episodes, key=lambda e: -by_episode[e.digest])[: SETUP.screening_episodes]
     most = SETUP.screening_rows // (len(worst) * joints)
-    ends = np.cumsum([len(s.windows) for s in base.starts.values()])
-    costs = dict(zip(base.starts, np.split(base.costs, ends[:-1]), strict=True))
+    costs = base.split(base.costs)
     return [_costliest_stretch(e, costs[e.digest], most) for e in worst]
 
 

@@ -62,8 +62,8 @@ class Strategy:
     most_effects        how many effects a composition may have
     late_topics         whether a topic may be late beside so many effects
     physical            whether the episodes are a machine's
-    may_be_trimmed      whether stretches that nothing explains may be put aside: of a machine's
-                        joint; of a robot, which may tip over, every error may be large somewhere
+    may_be_trimmed      whether stretches that nothing explains may be put aside: of a machine with
+                        one joint; a robot's errors are large wherever it is about to tip over
     """
 
     effort: Effort

@@ -1,9 +1,9 @@
-"""Trimming: stretches of a machine's recordings in which something outside the model acted, a hand
-or an obstacle.
+"""Trimming: stretches of a machine's recordings in which something outside the model acted, such as
+a hand or an obstacle.
 
-Sums of squares are those of their largest terms, so that one push hides from a search what acts
-everywhere else. Compositions are fitted once more by least trimmed squares: to the windows that
-each leaves least of. A window that none of them explains then, by far, is put aside. Source: P. J.
+A sum of squares is mostly its largest terms, so one push can hide from a search what acts
+everywhere else. So compositions are fitted once more by least trimmed squares: each to the windows
+that it explains best. A window that all of them still miss by far is put aside. Source: P. J.
 Rousseeuw, Journal of the American Statistical Association 79 (1984).
 """
 
@@ -20,11 +20,9 @@ from trueup.cores import in_parallel
 from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.search import Search
 from trueup.diagnose.tuning_of_answers import TRIMMING
-from trueup.episode.episode import Episode
+from trueup.episode.episode import Episode, recording_of
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.series import Series
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,17 +44,16 @@ def unexplained_stretches(search: Search) -> list[Stretch]:
     """
     sound = [c for c in search if len(c.hypothesis.effects) <= 1 and np.isfinite(c.total)]
     likely = sorted(sound, key=_typical)[: TRIMMING.compositions]
-    alone = list(in_parallel(lambda c: _trimmed(search, c), likely))
-    if not _unexplained(alone).any():
+    trimmed = list(in_parallel(lambda c: _trimmed(search, c), likely))
+    if not _unexplained(trimmed).any():
         return []
-    pairs = search.extend([min(alone, key=_typical)], search.terms, most=TRIMMING.beside)
-    together = [*alone, *in_parallel(lambda c: _trimmed(search, c), pairs)]
-    problem, aside = search.problem, _unexplained(together)
-    data = [*problem.adaptation, *problem.validation]
-    by_episode = np.split(aside, np.cumsum([len(s.begin) for s in data])[:-1])
-    return [
-        stretch for s, flagged in zip(data, by_episode, strict=True) for stretch in _of(s, flagged)
-    ]
+    pairs = search.extend([min(trimmed, key=_typical)], search.terms, most=TRIMMING.beside)
+    trimmed += in_parallel(lambda c: _trimmed(search, c), pairs)
+    aside, at = _unexplained(trimmed), trimmed[0]
+    fitted, compared = np.split(aside, [len(at.fit.costs)])
+    by_episode = at.fit.split(fitted) | at.check.split(compared)
+    data = [*search.problem.adaptation, *search.problem.validation]
+    return [stretch for s in data for stretch in _stretches(s, by_episode[s.digest])]
 
 
 def _unexplained(candidates: Sequence[Candidate]) -> NDArray[np.bool_]:
@@ -66,7 +63,7 @@ def _unexplained(candidates: Sequence[Candidate]) -> NDArray[np.bool_]:
     best = min(map(_typical, candidates))
     aside = np.logical_and.reduce(
         [
-            _costs(c) > TRIMMING.unexplained * _typical(c)
+            c.costs > TRIMMING.unexplained * _typical(c)
             for c in candidates
             if _typical(c) <= TRIMMING.as_good * best
         ]
@@ -90,18 +87,13 @@ def without(episode: Episode, stretches: Sequence[Stretch], fewest: int) -> list
     ]
 
 
-def _costs(candidate: Candidate) -> Array:
-    """Costs of all windows, those that were fitted first, `(windows,)`."""
-    return np.concatenate([candidate.fit.costs, candidate.check.costs])
-
-
 def _typical(candidate: Candidate) -> float:
     """The median cost of a window."""
-    return float(np.median(_costs(candidate)))
+    return float(np.median(candidate.costs))
 
 
 def _trimmed(search: Search, candidate: Candidate) -> Candidate:
-    """The candidate fitted to those windows that it leaves least of, measured on all."""
+    """The candidate fitted to those windows that it explains best, measured on all."""
     fits, fit = search.problem.fits, candidate.fit
     fixed = fits.resting(fit.values, fit.hypothesis.effects)
     for _ in range(TRIMMING.looks):
@@ -131,16 +123,15 @@ def _trimmed(search: Search, candidate: Candidate) -> Candidate:
 
 def _masked(data: Sequence[Series], fit: RolloutFit, limit: float) -> list[Series]:
     """Episodes without the samples of windows that cost a fit more than a limit."""
-    ends = np.cumsum([len(s.begin) for s in data])[:-1]
-    by_episode = np.split(fit.costs, ends)
+    far_off = {key: np.flatnonzero(costs > limit) for key, costs in fit.split(fit.costs).items()}
     return [
-        replace(s, usable=s.usable & ~np.isin(s.window_of, np.flatnonzero(costs > limit))[:, None])
-        for s, costs in zip(data, by_episode, strict=True)
+        replace(s, usable=s.usable & ~np.isin(s.window_of, far_off[s.digest])[:, None])
+        for s in data
     ]
 
 
-def _of(s: Series, flagged: NDArray[np.bool_]) -> list[Stretch]:
+def _stretches(s: Series, flagged: NDArray[np.bool_]) -> list[Stretch]:
     """The flagged windows of an episode, in time."""
-    recording = s.digest.split(",", 1)[0]
+    recording = recording_of(s.digest)
     ends = np.append(s.t_s[np.flatnonzero(s.resets >= 0)], s.t_s[-1] + s.period_s)
     return [Stretch(recording, float(ends[w]), float(ends[w + 1])) for w in np.flatnonzero(flagged)]

@@ -209,7 +209,9 @@ class SearchTuning:
         0.6, "of the gap", "Where the best effect of a real robot leaves more, no second is tried."
     )
     looks: int = number(
-        4, "searches", "At most, each with the noise of the one before, or without what it left."
+        4,
+        "searches",
+        "At most: each with the noise, or without the stretches, that the last one showed.",
     )
     finer_steps: int = number(4, "for one of the search", "In the final refit.")
     exchanged: int = number(5, "terms", "That each effect of the best composition may give way to.")

@@ -116,7 +116,9 @@ class TrimmingTuning:
     """Windows of a machine's joint that something outside the model spoilt."""
 
     kept: float = number(
-        0.85, "of the windows", "To which compositions are fitted; no more than the rest is spoilt."
+        0.85,
+        "of the windows",
+        "Compositions are fitted to so many; at most the rest is put aside.",
     )
     ordinary: float = number(
         4.0, "times the median cost of a window", "What costs less is kept in any case."
@@ -124,14 +126,14 @@ class TrimmingTuning:
     unexplained: float = number(
         100.0,
         "times the median cost of a window",
-        "Ten times the typical error, and more, is something else than a law that is a little off.",
+        "No law that is a little off misses by ten times the typical error.",
     )
     as_good: float = number(
         2.0, "times the best median", "Compositions whose typical window costs more do not count."
     )
     compositions: int = number(6, "of one effect", "Those with the best median.")
-    beside: int = number(9, "terms", "That screen best beside the best of those.")
-    looks: int = number(4, "fits", "Each without the windows that the one before left most of.")
+    beside: int = number(9, "terms", "Those that screen best beside the best of these.")
+    looks: int = number(4, "fits", "Each without the windows that the one before explained worst.")
     iterations: int = number(12, "iterations", "Of each.")
 
 

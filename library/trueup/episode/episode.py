@@ -105,7 +105,7 @@ class Episode:
     @property
     def recording(self) -> str:
         """The digest of the recording that this is, or is a part of."""
-        return self.digest.split(",", 1)[0]
+        return recording_of(self.digest)
 
     def part(self, first: int, last: int) -> Episode:
         """The samples from `first` to before `last`, as an episode."""
@@ -143,6 +143,11 @@ class Episode:
                 digest=self.digest,
             )
         return self
+
+
+def recording_of(digest: str) -> str:
+    """The digest of the recording that an episode of this digest is, or is a part of."""
+    return digest.split(",", 1)[0]
 
 
 def is_physical(episodes: Sequence[Episode]) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,9 +68,12 @@ class RolloutFit:
     @property
     def by_episode(self) -> dict[str, float]:
         """Cost of each episode, by digest."""
+        return {key: float(costs.sum()) for key, costs in self.split(self.costs).items()}
+
+    def split(self, of_windows: NDArray[Any]) -> dict[str, NDArray[Any]]:
+        """Something of every window `(windows, …)`, by the digest of the window's episode."""
         ends = np.cumsum([len(s.windows) for s in self.starts.values()])
-        parts = np.split(self.costs, ends[:-1])
-        return {key: float(part.sum()) for key, part in zip(self.starts, parts, strict=True)}
+        return dict(zip(self.starts, np.split(of_windows, ends[:-1]), strict=True))
 
     @property
     def reduced_chi_square(self) -> float:

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from trueup.cores import in_parallel
 from trueup.fit.free_numbers import CORNER_STEP, STEP, Directions, Free
+from trueup.fit.held_starts import held_starts
 from trueup.fit.lanes import Lanes, Task
 from trueup.fit.normal_equations import Errors, KeptDerivatives, NormalEquations
-from trueup.fit.observed_starts import observed_starts
 from trueup.fit.rollout_fit import Start
 from trueup.model.block import BLOCK, joint, kind
 from trueup.model.dynamics import Form
@@ -168,7 +168,7 @@ class Rollouts:
             return given
         hidden = [joint(t) for t in hypothesis.effects if kind(t).hides_velocity]
         seen = np.isfinite(self.sigma)
-        observed = {s.digest: observed_starts(s, self.sigma, hidden) for s in data}
+        observed = {s.digest: held_starts(s, self.sigma, hidden) for s in data}
         return {
             key: replace(start, windows=np.where(seen, observed[key], start.windows))
             for key, start in given.items()

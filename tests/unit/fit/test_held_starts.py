@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from trueup.fit.observed_starts import observed_starts
+from trueup.fit.held_starts import held_starts
 from trueup.model.state import slope_deviation
 
 RNG = np.random.default_rng(7)
@@ -30,7 +30,7 @@ def test_the_deviation_of_a_slope_is_that_of_a_parabola_through_noise():
 def test_two_accounts_of_a_velocity_count_by_the_inverse_of_their_variances():
     logged, by_positions = RNG.normal(0.0, 0.2, 4000), RNG.normal(0.0, 0.1, 4000)
     sigma = np.array([0.1 / slope_deviation(PERIOD_S), 0.2])
-    position, velocity = observed_starts(windows(logged, by_positions), sigma).T
+    position, velocity = held_starts(windows(logged, by_positions), sigma).T
     assert np.array_equal(position, np.ones(4000))
     assert np.std(velocity) == pytest.approx(0.2 / np.sqrt(5.0), rel=0.05)
 
@@ -46,5 +46,5 @@ def test_two_accounts_of_a_velocity_count_by_the_inverse_of_their_variances():
     ],
 )
 def test_what_is_not_known_does_not_count(sigma, hidden, expected):
-    start = observed_starts(windows(np.array([3.0]), np.array([5.0])), np.array(sigma), hidden)
+    start = held_starts(windows(np.array([3.0]), np.array([5.0])), np.array(sigma), hidden)
     assert start[0, 1] == pytest.approx(expected)
