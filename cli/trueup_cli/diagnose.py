@@ -33,18 +33,18 @@ def run(case: Path, *, out: Path, seed: Seed = 0, as_json_: Json = False) -> Non
     Parameters
     ----------
     case
-        folder with plant.json and *.mcap episodes; or a recording or ROS 2 bag, from which such a
-        folder is made first
+        folder with plant.json and *.mcap episodes; or recordings of any format that `trueup init`
+        reads, from which such a folder is made first
     out
         folder to write to
     """
-    if not (case / "plant.json").is_file() and (case.is_file() or any(case.glob("*.mcap"))):
-        from trueup_cli.init import CaseOptions, make_case, show_case
+    if not (case / "plant.json").is_file() and case.exists():
+        from trueup_cli.init import CaseOptions, case_of, show_case
 
-        written = make_case(case, out / "case", CaseOptions())
-        case = written.folder
+        made = case_of(case, out / "case", CaseOptions(), is_quiet=as_json_)
+        case = made.folder
         if not as_json_:
-            show_case(written)
+            show_case(made)
     one_arena()
     with progress("diagnose") as bar:
         bar(0.0, "reading the episodes")

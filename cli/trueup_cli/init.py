@@ -1,34 +1,39 @@
-"""`trueup init`: make a case folder from recordings alone."""
+"""`trueup init`: make a case folder from recordings alone, of any format."""
 
 from __future__ import annotations
 
-import json
-import re
-from collections import Counter
-from dataclasses import dataclass
+import sys
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from cyclopts import Parameter
 
-from trueup.episode.cutting import write_part
-from trueup.episode.layout import Layout
-from trueup.episode.mcap import read_episode
-from trueup.episode.role import Role
-from trueup.episode.survey import survey
-from trueup.errors import BadPlant, NotAnEpisode
-from trueup.fit.first_model import Chosen, choose, describe
+from trueup.diagnose.make_case import (
+    MAPPING_FILE,
+    PLANT_FILE,
+    Declared,
+    MadeCase,
+    find_mapping,
+    make_case,
+    model_beside,
+)
+from trueup.errors import BadMapping, BadPlant
+from trueup.recording.format import open_runs
+from trueup.recording.guess import Asked
+from trueup.recording.mapping import Part, SignalMapping, read_mapping
+from trueup.recording.recording import Clock
 from trueup_cli.options import Json
-from trueup_cli.show import as_json, progress, say, table
+from trueup_cli.show import as_json, ask, progress, say, table
 
 Force = Annotated[bool, Parameter(negative=(), help="Overwrite a case that is there")]
-HELD_OUT = 0.3  # share of the recordings
+PER = "for the position q, the velocity v and the command u"
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
 class CaseOptions:
-    """What a person declares about a recording. The rest is identified from it."""
+    """What a person declares about recordings. The rest is found."""
 
     name: Annotated[str | None, Parameter(help="Name of the plant; default: the log's")] = None
     family: Annotated[
@@ -37,27 +42,62 @@ class CaseOptions:
             help="inertia, pendulum or oscillator; default: the simplest that the data allow"
         ),
     ] = None
+    model: Annotated[
+        Path | None,
+        Parameter(help="MJCF or URDF of the robot; default: the one that lies beside, if any"),
+    ] = None
     joint: Annotated[str | None, Parameter(help="Name of the joint, if several move")] = None
-    observation: Annotated[str | None, Parameter(help="Topic of the observed JointState")] = None
-    command: Annotated[str | None, Parameter(help="Topic of the commanded JointState")] = None
+    mapping: Annotated[
+        Path | None, Parameter(help="File that says which signals are meant, from an earlier case")
+    ] = None
+    signal: Annotated[
+        dict[str, str],
+        Parameter(help=f"Name of a signal or column {PER}: --signal.q 'pos [deg]'"),
+    ] = field(default_factory=dict)
+    unit: Annotated[dict[str, str], Parameter(help=f"Unit of a signal, {PER}: --unit.q deg")] = (
+        field(default_factory=dict)
+    )
+    time: Annotated[str | None, Parameter(help="Column of a table that holds the time")] = None
+    time_unit: Annotated[str | None, Parameter(help="Its unit: s, ms, us or ns")] = None
+    rate: Annotated[float | None, Parameter(help="Rate of a table that has no time [Hz]")] = None
+    names: Annotated[
+        str | None,
+        Parameter(help="Joints of a list without names, such as Float64MultiArray: j1,j2,j3"),
+    ] = None
+    observation: Annotated[str | None, Parameter(help="Topic of what was observed")] = None
+    command: Annotated[str | None, Parameter(help="Topic of the commands")] = None
     stage: Annotated[
         str, Parameter(help="MIL, SIL, PIL, HIL or physical: where it was recorded")
     ] = "physical"
+    yes: Annotated[
+        bool, Parameter(negative=(), help="Take what is guessed without being asked")
+    ] = False
 
-
-@dataclass(frozen=True)
-class WrittenCase:
-    """A case folder that was written: its plant.json, its choices, and its episodes' roles.
-
-    `declared` says whether the recordings declared their roles.
-    """
-
-    folder: Path
-    document: dict[str, Any]
-    chosen: Chosen
-    stage: str
-    roles: Counter[Role]
-    declared: bool
+    def declared(self, log: Path) -> Declared:
+        """What was declared, with the model that lies beside the log. Raises BadMapping."""
+        clock = None
+        if self.time is not None or self.rate is not None:
+            clock = Clock(self.time, self.time_unit or "", self.rate)
+        for symbol in (*self.signal, *self.unit):
+            if symbol not in ("q", "v", "u"):
+                raise BadMapping(f"there is no channel {symbol!r}", field=symbol, hint=PER)
+        one_joint = self.family or self.joint or "q" in self.signal or self.mapping
+        return Declared(
+            self.name,
+            self.family,
+            self.stage,
+            Asked(
+                self.signal,
+                self.unit,
+                self.joint,
+                self.observation,
+                self.command,
+                clock,
+                tuple(self.names.split(",")) if self.names else (),
+            ),
+            read_mapping(self.mapping.read_bytes()) if self.mapping else None,
+            self.model or (None if one_joint else model_beside(log)),
+        )
 
 
 def init(
@@ -68,116 +108,103 @@ def init(
     force: Force = False,
     as_json_: Json = False,
 ) -> None:
-    """Make a case folder from recordings: an MCAP file, or a bag of `ros2 bag record -s mcap`.
+    """Make a case folder from recordings: MCAP, ROS bags, CSV, Parquet, HDF5, npz, LeRobot.
 
-    It finds topics, joint, fields and rates, holds out the last part of the recordings, and
-    identifies the numbers of the simplest model that they allow. Its assumptions are printed and
-    written to plant.json, where they can be corrected.
+    It finds the signals by their names and units, holds out the last part of the recordings, and
+    identifies the numbers of the simplest model that they allow, or takes the MJCF or URDF that
+    lies beside. What it guesses is shown and asked for once; it is written to mapping.json, which
+    --mapping uses again.
 
     Parameters
     ----------
     log
-        MCAP file, or a folder of MCAP files
+        file or folder of recordings
     out
         case folder to write
     """
-    if (out / "plant.json").exists() and not force:
+    if (out / PLANT_FILE).exists() and not force:
         raise BadPlant(
             f"{out} holds a plant.json already",
             hint="Name another folder with --out, or write over it with --force.",
         )
-    written = make_case(log, out, options or CaseOptions())
+    made = case_of(log, out, options or CaseOptions(), is_quiet=as_json_)
     if as_json_:
-        as_json({"case": str(out), "plant": written.document})
+        as_json(
+            {
+                "case": str(out),
+                "plant": made.document,
+                "mapping": made.mapping.document(),
+                "findings": [f.document() for f in made.findings],
+            }
+        )
         return
-    show_case(written)
+    show_case(made)
     say("next: trueup diagnose {} --out {}", out, out / "diagnosis")
 
 
-def make_case(log: Path, out: Path, options: CaseOptions) -> WrittenCase:
-    """Makes a case folder from recordings. Raises NotAnEpisode, BadPlant, NotIdentifiable."""
-    files = sorted(log.glob("*.mcap")) if log.is_dir() else [log]
-    if not files:
-        raise NotAnEpisode(
-            f"{log} holds no *.mcap", rule="samples", hint="Record with `ros2 bag record -s mcap`."
-        )
-    if out.resolve() in {file.resolve().parent for file in files}:
+def case_of(log: Path, out: Path, options: CaseOptions, *, is_quiet: bool) -> MadeCase:
+    """Makes a case folder from recordings. Raises BadEpisode, BadMapping, BadPlant,
+    NotIdentifiable."""
+    runs = open_runs(log)
+    if out.resolve() in {run.path.resolve().parent for run in runs}:
         raise BadPlant(
             "the case would be written among the recordings", hint="Name another folder with --out."
         )
-    out.mkdir(parents=True, exist_ok=True)
-    for earlier in out.glob("*.mcap"):  # of a case that was made here before
-        earlier.unlink()
+    declared = options.declared(log)
     with progress("init") as bar:
         bar(0.0, "looking through the recordings")
-        with files[0].open("rb") as stream:
-            surveyed = survey(stream, files[0].stat().st_size)
-        chosen = choose(
-            surveyed, observation=options.observation, command=options.command, joint=options.joint
+        mapping = find_mapping(runs, declared)
+    if not is_quiet:
+        show_mapping(mapping)
+    if mapping.guesses and not (options.yes or is_quiet) and sys.stdin.isatty():
+        if not ask(f"Guessed: {'; '.join(mapping.guesses)}. Is that so?"):
+            raise BadMapping(
+                "the signals are others",
+                field="signals",
+                hint="Name them with --signal.q, --signal.v, --signal.u, --unit.q … and --time, or "
+                f"correct a {MAPPING_FILE} and hand it in with --mapping.",
+            )
+        mapping = mapping.confirmed()
+    with progress("init") as bar:
+        return make_case(runs, out, mapping, declared, lambda stage, part: bar(part, stage))
+
+
+def show_mapping(mapping: SignalMapping) -> None:
+    """Prints which signals are which channels."""
+    rows = [
+        (
+            f"{str(s.part).removesuffix('s')} {s.joint or ''}".strip(),
+            str(s.field),
+            f"{s.signal} on {s.stream}" if s.stream else s.signal,
+            s.unit or "as it is",
+            f"guessed: {', '.join(s.guessed)}" if s.guessed else "",
         )
-        bar(0.3, "writing episodes")
-        episodes = [
-            read_episode(path.read_bytes(), chosen.layout)
-            for path in _write_parts(files, chosen, out, options.stage)
-        ]
-        bar(0.6, "identifying a first model")
-        name = options.name or (log.stem if log.is_file() else log.resolve().name)
-        plain = re.sub(r"[^a-z0-9_-]+", "-", name.lower()).strip("-_") or "robot"
-        document = describe(
-            plain[:63], chosen, [e for e in episodes if e.role is Role.ADAPTATION], options.family
-        )
-    (out / "plant.json").write_text(json.dumps(document, indent=1, ensure_ascii=False) + "\n")
-    return WrittenCase(
-        out,
-        document,
-        chosen,
-        options.stage,
-        Counter(e.role for e in episodes),
-        surveyed.role is not None,
-    )
+        for s in mapping.sources
+        if s.part is not Part.EFFORTS
+    ]
+    clock = mapping.clock
+    if clock is not None:
+        what = clock.signal or f"{clock.rate_hz:g} Hz"
+        guessed = "guessed" if mapping.clock_guessed else ""
+        rows.append(("time", "", what, clock.unit if clock.signal else "", guessed))
+    table("Signals", ["what", "field", "signal", "unit", ""], rows)
 
 
-def _write_parts(files: list[Path], chosen: Chosen, out: Path, stage: str) -> list[Path]:
-    """Writes the episodes of a case, and returns their files.
-
-    Each recording is one episode, and the last ones are held out; of a single recording the end is
-    held out. Roles that recordings declare are kept.
-    """
-    applied = Layout((), ()).applied_topic
-    topics, written = {chosen.observed.topic, chosen.commanded.topic, applied}, list[Path]()
-    held_out = max(1, round(HELD_OUT * len(files)))
-    for at, file in enumerate(files):
-        recorded = file.read_bytes()
-        with file.open("rb") as stream:
-            surveyed = survey(stream, len(recorded))
-        conditions = {"stage": stage, "recording": file.name}
-        if surveyed.role is not None:
-            parts: list[tuple[Role | None, int | None, int | None]] = [(None, None, None)]
-        elif len(files) > 1:
-            parts = [
-                (Role.VALIDATION if at >= len(files) - held_out else Role.ADAPTATION, None, None)
-            ]
-        else:
-            first, last = chosen.observed.first_ns, chosen.observed.last_ns
-            cut = last - int(HELD_OUT * (last - first))
-            parts = [(Role.ADAPTATION, None, cut), (Role.VALIDATION, cut, None)]
-        for role, begin, end in parts:
-            written.append(out / f"{len(written)}-{role or surveyed.role}.mcap")
-            with written[-1].open("wb") as to:
-                if role is None:
-                    to.write(recorded)
-                else:
-                    write_part(to, recorded, topics, role, conditions, begin, end)
-    return written
-
-
-def show_case(case: WrittenCase) -> None:
+def show_case(case: MadeCase) -> None:
     """Prints what was read from the recordings, and what was assumed."""
-    document, chosen, stage = case.document, case.chosen, case.stage
-    nominal, limits = document["nominal"], document["commands"][0]["limits"]
-    numbers = ", ".join(f"{k} = {v:g}" for k, v in nominal["parameters"].items())
+    document, stage = case.document, case.stage
+    nominal = document["nominal"]
+    numbers = ", ".join(f"{k} = {v:g}" for k, v in nominal.get("parameters", {}).items())
+    reach = ", ".join(
+        f"{c['name']} within {c['limits'][0]:g} and {c['limits'][1]:g}"
+        for c in document["commands"]
+    )
+    units = ", ".join(
+        f"{c['name']} [{c['unit'] or '?'}]"
+        for c in (*document["observations"], *document["commands"])
+    )
     table(
-        f"{case.folder / 'plant.json'}",
+        f"{case.folder / PLANT_FILE}",
         ["what", "found", "so"],
         [
             ("plant", document["name"], "its name in a service; --name gives another"),
@@ -185,19 +212,10 @@ def show_case(case: WrittenCase) -> None:
                 "episodes",
                 ", ".join(f"{count} {role}" for role, count in case.roles.items()),
                 "roles as recorded"
-                if case.declared
+                if case.is_role_declared
                 else "the last of what was recorded is held out",
             ),
-            (
-                "observed",
-                chosen.observed.topic,
-                f"{', '.join(chosen.observed.fields)} of {chosen.joint or 'the first joint'}",
-            ),
-            (
-                "commanded",
-                chosen.commanded.topic,
-                f"{chosen.command_field}, within {limits[0]:g} and {limits[1]:g} so far",
-            ),
+            ("commands", reach, "as far as the recordings reach"),
             (
                 "step",
                 f"{1e3 * nominal['timestep_s']:g} ms",
@@ -205,13 +223,15 @@ def show_case(case: WrittenCase) -> None:
             ),
             (
                 "first model",
-                nominal["family"],
+                nominal.get("family") or nominal["mjcf"],
                 (
                     f"{numbers}: identified here, without friction or delay; a start, which "
                     "a diagnosis corrects"
-                ),
+                )
+                if numbers
+                else "as it lies beside the recordings",
             ),
-            ("units", "rad, rad/s, N·m", "assumed; correct them where they are others"),
+            ("units", units, "correct them where they are others"),
             (
                 "stage",
                 stage,
@@ -219,3 +239,5 @@ def show_case(case: WrittenCase) -> None:
             ),
         ],
     )
+    for finding in case.findings:
+        say("[yellow]{}[/]: {} {}", finding.fault, finding.evidence, finding.advice)

@@ -70,6 +70,12 @@ def lines(text: str, to: Console = out) -> None:
     print(shown, file=to.file)
 
 
+def ask(question: str) -> bool:
+    """Asks a person, and returns whether the answer is yes, which it is if it is empty."""
+    say("{} [dim]\\[Y/n][/]", question, to=err)
+    return input().strip().lower() in ("", "y", "yes")
+
+
 def as_json(value: Any) -> None:
     """Prints a value as JSON."""
     print(json.dumps(value, indent=2, default=str))

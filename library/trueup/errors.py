@@ -3,9 +3,11 @@
     TrueupError
     ├── BadEpisode               the bytes are no episode
     │   ├── MalformedMcap        a rule of the MCAP container is broken, at a byte
+    │   ├── MalformedRecording   a rule of another format's container is broken
     │   ├── TooLarge             a declared limit on size is exceeded
-    │   └── NotAnEpisode         sound MCAP, but not what an episode must hold
+    │   └── NotAnEpisode         a sound file, but not what an episode must hold
     ├── BadPlant                 plant.json breaks a rule, at a field
+    ├── BadMapping               a mapping of signals to channels breaks a rule, at a field
     ├── BadRandomisation         a family of plants breaks a rule, at a field
     ├── NotInstalled             an optional part of the installation is needed
     ├── NotExportable            this model has no form in what was asked for
@@ -74,6 +76,13 @@ class MalformedMcap(BadEpisode):
     hint = "Repair it with `mcap recover`, or record again; `byte` is where the rule is broken."
 
 
+class MalformedRecording(BadEpisode):
+    """The file is not what its format demands."""
+
+    code = "malformed-recording"
+    hint = "Write the file again, or export it in another format; docs/recordings.md lists them."
+
+
 class TooLarge(BadEpisode):
     """The file exceeds a declared limit."""
 
@@ -82,7 +91,7 @@ class TooLarge(BadEpisode):
 
 
 class NotAnEpisode(BadEpisode):
-    """The file is sound MCAP but holds no episode."""
+    """The file is sound but holds no episode."""
 
     code = "not-an-episode"
     hint = (
@@ -96,6 +105,13 @@ class BadPlant(TrueupError):
 
     code = "bad-plant"
     hint = "Correct the field named in `field`; docs/plant.md lists every field."
+
+
+class BadMapping(TrueupError):
+    """The mapping of signals to channels breaks a rule."""
+
+    code = "bad-mapping"
+    hint = "Correct the field named in `field`; docs/recordings.md shows a mapping."
 
 
 class BadRandomisation(TrueupError):

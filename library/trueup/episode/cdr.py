@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from trueup.episode.container import Message, MessageBlock
 from trueup.episode.joint_state import FIELDS, Columns, JointState, decode_each, joint_index
-from trueup.episode.layout import Channel
+from trueup.episode.layout import Channel, Field
 from trueup.errors import NotAnEpisode
 
 ROS2_NAMES = (
@@ -29,7 +29,7 @@ CDR_HEAD_BYTES = 4
 
 
 @dataclass(frozen=True, slots=True)
-class _CdrShape:
+class CdrShape:
     """Where a message keeps its joint names and, for each field, its first value and how many there
     are."""
 
@@ -37,8 +37,15 @@ class _CdrShape:
     fields: tuple[tuple[int, int], ...]
     order: str
 
+    def place(self, field: Field, joint: str | None) -> int | None:
+        """Where the value of a joint's field stands, None where the message has none."""
+        at, count = self.fields[FIELDS.index(field)]
+        index = joint_index(self.names, joint)
+        return at + 8 * index if index is not None and index < count else None
 
-def _cdr_shape(data: bytes) -> _CdrShape:
+
+def cdr_shape(data: bytes) -> CdrShape:
+    """Where a message keeps what it holds. Raises ValueError, struct.error."""
     if len(data) < CDR_HEAD_BYTES or data[0] != 0 or data[1] not in (0, 1):
         raise ValueError("its encapsulation is not plain CDR")
     order = "<" if data[1] else ">"
@@ -58,7 +65,7 @@ def _cdr_shape(data: bytes) -> _CdrShape:
         at += 8 * count
         if at > len(data):
             raise ValueError("an array does not fit it")
-    return _CdrShape(tuple(names), tuple(fields), order)
+    return CdrShape(tuple(names), tuple(fields), order)
 
 
 def _cdr_count(data: bytes, at: int, order: str, least_bytes: int) -> tuple[int, int]:
@@ -78,7 +85,7 @@ def _cdr_text(data: bytes, at: int, order: str) -> tuple[str, int]:
 
 def read_cdr(data: bytes) -> JointState:
     """One message. Raises ValueError, struct.error."""
-    shape = _cdr_shape(data)
+    shape = cdr_shape(data)
     seconds, nanoseconds = struct.unpack_from(shape.order + "iI", data, 4)
     values = tuple(struct.unpack_from(f"{shape.order}{n}d", data, at) for at, n in shape.fields)
     return JointState(seconds * 1_000_000_000 + nanoseconds, shape.names, values)
@@ -97,7 +104,7 @@ def decode_cdr(
     length = int(lengths[0])
     first = block.data[messages[0][0] : messages[0][0] + length]
     try:
-        shape = _cdr_shape(first)
+        shape = cdr_shape(first)
     except (ValueError, struct.error):
         return decode_each(block, messages, channels, read_cdr)
     if (lengths != length).any():
@@ -119,14 +126,12 @@ def _cdr_stamps(rows: NDArray[np.uint8], order: str) -> NDArray[np.int64]:
 
 
 def _cdr_values(
-    rows: NDArray[np.uint8], shape: _CdrShape, channels: Sequence[Channel]
+    rows: NDArray[np.uint8], shape: CdrShape, channels: Sequence[Channel]
 ) -> NDArray[np.float64]:
     values = np.full((len(rows), len(channels)), np.nan)
     for column, channel in enumerate(channels):
-        at, count = shape.fields[FIELDS.index(channel.field)]
-        joint = joint_index(shape.names, channel.joint)
-        if joint is not None and joint < count:
-            begin = at + 8 * joint
+        begin = shape.place(channel.field, channel.joint)
+        if begin is not None:
             values[:, column] = np.ascontiguousarray(rows[:, begin : begin + 8]).view(
                 shape.order + "f8"
             )[:, 0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -33,8 +33,9 @@ class Episode:
     named in `missing`. `clock_doubts` says where the log's own clocks contradict each other;
     `omissions` which messages were left out because they say nothing; `offset` how the topics lie
     against each other, None where the episode was not read from a recording. A part of a recording
-    begins `begins_s` [s] after it, and its digest is the recording's with what it is a part of. The
-    arrays cannot be written to.
+    begins `begins_s` [s] after it, and its digest is the recording's with what it is a part of.
+    `source` says what a recording was made from that came in another format: the original's file,
+    `sha256`, `format` and `mapping`; empty where it came as it is. The arrays cannot be written to.
     """
 
     t_s: NDArray[np.float64]
@@ -51,6 +52,7 @@ class Episode:
     offset: TopicOffset | None = None
     begins_s: float = 0.0
     effort: NDArray[np.float64] | None = None
+    source: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         samples = len(self.t_s)
@@ -67,6 +69,7 @@ class Episode:
             if array is not None:
                 array.setflags(write=False)
         object.__setattr__(self, "conditions", MappingProxyType(dict(self.conditions)))
+        object.__setattr__(self, "source", MappingProxyType(dict(self.source)))
 
     @property
     def missing(self) -> tuple[str, ...]:

@@ -31,6 +31,7 @@ from trueup.episode.walk import Walk
 from trueup.errors import NotAnEpisode, TooLarge
 
 EPISODE_RECORD = "episode"
+SOURCE_RECORD = "source"  # of an episode that was made from a file of another format
 # entries, and characters of them all: every listing and audit entry repeats them
 CONDITIONS, CONDITION_CHARACTERS = (64, 4096)
 
@@ -46,7 +47,7 @@ def read_episode_stream(
     """The episode in a stream of `size` bytes, read once, chunk by chunk; its observations happened
     `late_s` [s] before their stamps. Raises BadEpisode."""
     hashed = _Hashed(stream)
-    walk = Walk(cast(BinaryIO, hashed), size, limits, wanted=(EPISODE_RECORD,))
+    walk = Walk(cast(BinaryIO, hashed), size, limits, wanted=(EPISODE_RECORD, SOURCE_RECORD))
     tracks = (
         Gathering(layout.observation_topic, layout.observations),
         Gathering(layout.command_topic, layout.commands),
@@ -59,7 +60,8 @@ def read_episode_stream(
             for track in tracks:
                 if topic.name == track.topic:
                     track.add(topic, block, messages)
-    role, conditions = _role(walk.contents.metadata)
+    role, conditions = _role(_named(walk.contents.metadata, EPISODE_RECORD))
+    sources = _named(walk.contents.metadata, SOURCE_RECORD)
     known = sorted({t.name for t in walk.contents.topics.values()})
     observed, issued = (track.track(known) for track in tracks[:2])
     applied = tracks[2].track(known) if tracks[2] else None
@@ -81,6 +83,7 @@ def read_episode_stream(
         tuple(o.since(start) for o in aligned.omissions),
         aligned.offset,
         effort=aligned.effort,
+        source=dict(sources[0].values) if sources else {},
     )
 
 
@@ -98,6 +101,10 @@ class _Hashed:
     @property
     def digest(self) -> str:
         return self._hash.hexdigest()
+
+
+def _named(records: Sequence[Metadata], name: str) -> list[Metadata]:
+    return [r for r in records if r.name == name]
 
 
 def _role(records: Sequence[Metadata]) -> tuple[Role, dict[str, str]]:

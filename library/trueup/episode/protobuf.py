@@ -12,17 +12,25 @@ from trueup.episode.joint_state import FIELDS, JointState
 from trueup.errors import NotAnEpisode
 
 
-def reader(schema: Schema) -> Callable[[bytes], JointState]:
-    """A reader for messages of this schema. Raises NotAnEpisode."""
+def message_class(schema: Schema) -> type[message.Message]:
+    """The class of messages of this schema. Raises NotAnEpisode."""
     try:
         files = descriptor_pb2.FileDescriptorSet.FromString(schema.data)
         pool = descriptor_pool.DescriptorPool()
         _add_in_order(pool, {file.name: file for file in files.file})
-        kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+        kind: type[message.Message] = message_factory.GetMessageClass(
+            pool.FindMessageTypeByName(schema.name)
+        )
     except (message.DecodeError, KeyError, TypeError, RecursionError) as error:
         raise NotAnEpisode(
             f"the protobuf schema {schema.name!r} cannot be used: {error}", rule="encoding"
         ) from error
+    return kind
+
+
+def reader(schema: Schema) -> Callable[[bytes], JointState]:
+    """A reader for messages of this schema. Raises NotAnEpisode."""
+    kind = message_class(schema)
     if not {"name", *FIELDS} <= {f.name for f in kind.DESCRIPTOR.fields}:
         raise NotAnEpisode(f"the protobuf message {schema.name!r} is no JointState", rule="message")
     return lambda data: _read(kind, data)

@@ -32,6 +32,9 @@ uint32 nanosec
 """
 
 
+UNNAMED = "joint"  # what a joint is called that its plant gives no name
+
+
 class Encoding(StrEnum):
     """How messages are written."""
 
@@ -102,10 +105,10 @@ class FieldColumns:
     """For each value of a JointState, the column of a sample that holds it."""
 
     def __init__(self, channels: Sequence[Channel]) -> None:
-        self.joints = list(dict.fromkeys(c.joint or "joint" for c in channels))
+        self.joints = list(dict.fromkeys(c.joint or UNNAMED for c in channels))
         self._columns = {
             f: [
-                (self.joints.index(c.joint or "joint"), i)
+                (self.joints.index(c.joint or UNNAMED), i)
                 for i, c in enumerate(channels)
                 if c.field is f
             ]

@@ -19,8 +19,8 @@ from trueup.doctor.log import Log
 from trueup.doctor.mends import Permuted, Scaled
 from trueup.doctor.odds import sound
 from trueup.doctor.tuning import COMMAND, PRIOR
-from trueup.doctor.units import COUNTS, OtherUnit, other_units
 from trueup.episode.layout import Field
+from trueup.episode.units import COUNTS, OtherUnit, other_units
 
 
 def examine(log: Log) -> list[Finding]:

@@ -15,7 +15,7 @@ from trueup.doctor.kinematics import Kinematics, kinematics
 from trueup.doctor.log import Log
 from trueup.doctor.mends import Moved, Scaled
 from trueup.doctor.tuning import KINEMATICS
-from trueup.doctor.units import other_units
+from trueup.episode.units import other_units
 
 
 def examine(log: Log) -> list[Finding]:

@@ -1,0 +1,212 @@
+"""Make a case folder from recordings alone, of any format.
+
+The signals are found or taken as they were told, the last part of what was recorded is held out,
+and a first model is identified, or taken from an MJCF or URDF. What the recordings declare of
+themselves is kept: a recording that declares its role is copied as it is.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from trueup.diagnose.case import read_recording
+from trueup.doctor.examine import examine
+from trueup.doctor.finding import Finding
+from trueup.episode.episode import Episode
+from trueup.episode.layout import Layout
+from trueup.episode.mcap import read_episode
+from trueup.episode.role import Role
+from trueup.errors import BadPlant, NotAnEpisode, of_file
+from trueup.fit.first_model import describe, describe_robot
+from trueup.model.mjcf import compile_file, resolved
+from trueup.model.plant import Plant
+from trueup.recording.format import Run
+from trueup.recording.guess import Asked, guess
+from trueup.recording.mapping import Part, SignalMapping, layout_of
+from trueup.recording.transcribe import origin_of, transcribe
+
+HELD_OUT = 0.3  # share of what was recorded
+JOINT_STATE = "JointState"
+MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
+PLANT_FILE, MAPPING_FILE = "plant.json", "mapping.json"
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Declared:
+    """What a person declares of recordings; the rest is found. `mapping` says which signals are
+    meant, else `asked` and their names do; `model` is an MJCF or URDF file."""
+
+    name: str | None = None
+    family: str | None = None
+    stage: str = "physical"
+    asked: Asked = field(default_factory=Asked)
+    mapping: SignalMapping | None = None
+    model: Path | None = None
+
+
+@dataclass(frozen=True)
+class MadeCase:
+    """A case folder that was made: its plant.json, the mapping that it was made by, its episodes'
+    roles, whether the recordings declared them, and what looks wrong with the log."""
+
+    folder: Path
+    document: dict[str, Any]
+    mapping: SignalMapping
+    roles: Counter[Role]
+    is_role_declared: bool
+    stage: str
+    findings: Sequence[Finding]
+
+
+def find_mapping(runs: Sequence[Run], declared: Declared) -> SignalMapping:
+    """The mapping of signals to channels: the declared one, or what names and units tell. Raises
+    BadEpisode, BadMapping, BadPlant."""
+    joints = compile_file(declared.model).tree.joints if declared.model else None
+    with of_file(runs[0].path.name):
+        mapping = declared.mapping or guess(runs[0].recording, declared.asked, joints=joints)
+        mapping.require(runs[0].recording)
+    return mapping
+
+
+def make_case(
+    runs: Sequence[Run],
+    out: Path,
+    mapping: SignalMapping,
+    declared: Declared,
+    progress: Progress = lambda _stage, _part: None,
+) -> MadeCase:
+    """Make a case folder from the signals that `mapping` names. Raises BadEpisode, BadMapping,
+    BadPlant, NotIdentifiable."""
+    progress("looking through the recordings", 0.0)
+    layout = layout_of(mapping, _topics(runs[0], mapping))
+    out.mkdir(parents=True, exist_ok=True)
+    for earlier in out.glob("*.mcap"):  # of a case that was made here before
+        earlier.unlink()
+    parts = list(_parts(runs, mapping))
+    paths = []
+    for i, part in enumerate(parts):
+        progress(f"writing episode {i + 1} of {len(parts)}", 0.1 + 0.5 * i / len(parts))
+        paths.append(_write(part, mapping, layout, out / f"{i}-{part.role}.mcap", declared.stage))
+    progress("identifying a first model", 0.6)
+    episodes = [_read(path, layout) for path in paths]
+    document = _document(runs[0].path, declared, layout, episodes, out)
+    (out / PLANT_FILE).write_text(json.dumps(document, indent=1, ensure_ascii=False) + "\n")
+    (out / MAPPING_FILE).write_text(json.dumps(mapping.document(), indent=1) + "\n")
+    progress("looking for faults in the log", 0.9)
+    plant = Plant.from_document(resolved(document, out))
+    again = [read_recording(path, plant) for path in paths]
+    return MadeCase(
+        out,
+        document,
+        mapping,
+        Counter(e.role for e in episodes),
+        runs[0].recording.role is not None,
+        declared.stage,
+        examine(plant, again),
+    )
+
+
+def model_beside(path: Path) -> Path | None:
+    """The one MJCF or URDF in a folder of recordings, or beside a file; None where there is none or
+    several."""
+    folder = path if path.is_dir() else path.parent
+    models = [p for p in sorted(folder.iterdir()) if p.suffix in MODEL_SUFFIXES]
+    return models[0] if len(models) == 1 else None
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A part of a run, that becomes an episode of a role."""
+
+    run: Run
+    role: Role
+    begin_ns: int | None = None
+    end_ns: int | None = None
+
+
+def _parts(runs: Sequence[Run], mapping: SignalMapping) -> Sequence[_Part]:
+    """Each run is one episode, and the last ones are held out; of a single run its end is."""
+    held_out = max(1, round(HELD_OUT * len(runs)))
+    if len(runs) == 1 and runs[0].recording.role is None:
+        span = runs[0].recording.span(mapping.of(Part.OBSERVATIONS)[0].stream, mapping.clock)
+        cut = span.last_ns - int(HELD_OUT * (span.last_ns - span.first_ns))
+        return [
+            _Part(runs[0], Role.ADAPTATION, None, cut),
+            _Part(runs[0], Role.VALIDATION, cut, None),
+        ]
+    return [
+        _Part(run, _role(run, is_held_out=at >= len(runs) - held_out))
+        for at, run in enumerate(runs)
+    ]
+
+
+def _role(run: Run, *, is_held_out: bool) -> Role:
+    declared = run.recording.role
+    if declared is None:
+        return Role.VALIDATION if is_held_out else Role.ADAPTATION
+    if declared not in set(Role):
+        raise NotAnEpisode(f"the role {declared!r} is none of {', '.join(Role)}", rule="role")
+    return Role(declared)
+
+
+def _write(part: _Part, mapping: SignalMapping, layout: Layout, to: Path, stage: str) -> Path:
+    run = part.run
+    with of_file(run.path.name):
+        if run.recording.role is not None:
+            shutil.copyfile(run.path, to)
+            return to
+        with to.open("wb") as file:
+            transcribe(
+                run.recording,
+                mapping,
+                layout,
+                file,
+                role=part.role,
+                conditions={"stage": stage, "recording": run.part or run.path.name},
+                origin=origin_of(run.path, run.part),
+                begin_ns=part.begin_ns,
+                end_ns=part.end_ns,
+            )
+    return to
+
+
+def _read(path: Path, layout: Layout) -> Episode:
+    with of_file(path.name):
+        return read_episode(path.read_bytes(), layout)
+
+
+def _topics(run: Run, mapping: SignalMapping) -> dict[str, str]:
+    """The topics of the plant: the log's own where they carry JointState, so that its other
+    recordings are episodes as they are."""
+    topics = {}
+    for what, part in (("observation", Part.OBSERVATIONS), ("command", Part.COMMANDS)):
+        stream = run.recording.stream(mapping.of(part)[0].stream)
+        if stream is not None and stream.kind.endswith(JOINT_STATE):
+            topics[what] = stream.name
+    return topics
+
+
+def _document(
+    path: Path, declared: Declared, layout: Layout, episodes: Sequence[Episode], out: Path
+) -> dict[str, Any]:
+    name = declared.name or (path.stem if path.is_file() else path.resolve().name)
+    plain = re.sub(r"[^a-z0-9_-]+", "-", name.lower()).strip("-_")[:63] or "robot"
+    fitted = [e for e in episodes if e.role is Role.ADAPTATION]
+    if not fitted:
+        raise BadPlant(
+            "no recording has the role adaptation, and nothing can be identified",
+            field="role",
+        )
+    if declared.model is None:
+        return describe(plain, layout, fitted, declared.family)
+    if declared.model.resolve() != (out / declared.model.name).resolve():
+        shutil.copyfile(declared.model, out / declared.model.name)
+    return describe_robot(plain, layout, fitted, declared.model.name)

@@ -1,0 +1,65 @@
+"""ROS 1 bags: `*.bag`, whose container `rosbags` reads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from trueup.episode.container import Limits, Loose, Schema, Topic
+from trueup.errors import MalformedRecording, NotAnEpisode, TooLarge
+from trueup.recording.format import Format, optional
+from trueup.recording.messages import Block, MessageRecording
+
+MAGIC = b"#ROSBAG V2.0"
+BLOCK_BYTES = 1 << 20
+
+
+class RosBag1(Format):
+    """A bag of ROS 1, version 2.0."""
+
+    name = "rosbag1"
+    suffixes = (".bag",)
+    media_types = ("application/x-rosbag",)
+
+    def knows(self, path: Path, head: bytes) -> bool:
+        return head.startswith(MAGIC) or path.suffix == ".bag"
+
+    def recordings(self, path: Path, limits: Limits) -> Sequence[MessageRecording]:
+        if path.stat().st_size > limits.file_bytes:
+            raise TooLarge(
+                f"{path.name} has more than {limits.file_bytes} bytes", limit="file_bytes", byte=0
+            )
+        reader = optional("rosbags.rosbag1", "ros", "a ROS 1 bag").Reader
+
+        def blocks() -> Iterator[Block]:
+            try:
+                with reader(path) as bag:
+                    yield from _blocks(bag)
+            except (NotAnEpisode, TooLarge):
+                raise
+            except Exception as error:  # the reader's errors share no public base
+                raise MalformedRecording(
+                    f"{path.name} cannot be read as a bag: {error}", rule="container"
+                ) from error
+
+        return [MessageRecording(path.stem, self.name, blocks)]
+
+
+def _blocks(bag: Any) -> Iterator[Block]:
+    topics: dict[int, Topic] = {}
+    loose = Loose()
+    for connection, timestamp, data in bag.messages():
+        if connection.id not in topics:
+            text = str(connection.msgdef.data).encode()
+            schema = Schema(connection.id + 1, connection.msgtype, "ros1msg", text)
+            topics[connection.id] = Topic(connection.id, schema, connection.topic, "ros1", {})
+        loose.add(connection.id, data, timestamp, 0)
+        if loose.size >= BLOCK_BYTES:
+            yield topics, loose.block()
+            loose = Loose()
+    if loose.size:
+        yield topics, loose.block()
+
+
+FORMAT = RosBag1()
