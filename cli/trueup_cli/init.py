@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +9,6 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from trueup.diagnose.make_case import (
-    MAPPING_FILE,
     PLANT_FILE,
     Declared,
     MadeCase,
@@ -21,10 +19,11 @@ from trueup.diagnose.make_case import (
 from trueup.errors import BadMapping, BadPlant
 from trueup.recording.format import open_runs
 from trueup.recording.guess import Asked
-from trueup.recording.mapping import Part, SignalMapping, read_mapping
+from trueup.recording.mapping import read_mapping
 from trueup.recording.recording import Clock
 from trueup_cli.options import Json
-from trueup_cli.show import as_json, ask, progress, say, table
+from trueup_cli.show import as_json, progress, say, table
+from trueup_cli.signals import confirmed
 
 Force = Annotated[bool, Parameter(negative=(), help="Overwrite a case that is there")]
 PER = "for the position q, the velocity v and the command u"
@@ -83,7 +82,7 @@ class CaseOptions:
                 raise BadMapping(f"there is no channel {symbol!r}", field=symbol, hint=PER)
         one_joint = self.family or self.joint or "q" in self.signal or self.mapping
         return Declared(
-            self.name,
+            self.name or (log.stem if log.is_file() else log.resolve().name),
             self.family,
             self.stage,
             Asked(
@@ -155,39 +154,9 @@ def case_of(log: Path, out: Path, options: CaseOptions, *, is_quiet: bool) -> Ma
         bar(0.0, "looking through the recordings")
         mapping = find_mapping(runs, declared)
     if not is_quiet:
-        show_mapping(mapping)
-    if mapping.guesses and not (options.yes or is_quiet) and sys.stdin.isatty():
-        if not ask(f"Guessed: {'; '.join(mapping.guesses)}. Is that so?"):
-            raise BadMapping(
-                "the signals are others",
-                field="signals",
-                hint="Name them with --signal.q, --signal.v, --signal.u, --unit.q … and --time, or "
-                f"correct a {MAPPING_FILE} and hand it in with --mapping.",
-            )
-        mapping = mapping.confirmed()
+        mapping = confirmed(mapping, is_agreed=options.yes)
     with progress("init") as bar:
         return make_case(runs, out, mapping, declared, lambda stage, part: bar(part, stage))
-
-
-def show_mapping(mapping: SignalMapping) -> None:
-    """Prints which signals are which channels."""
-    rows = [
-        (
-            f"{str(s.part).removesuffix('s')} {s.joint or ''}".strip(),
-            str(s.field),
-            f"{s.signal} on {s.stream}" if s.stream else s.signal,
-            s.unit or "as it is",
-            f"guessed: {', '.join(s.guessed)}" if s.guessed else "",
-        )
-        for s in mapping.sources
-        if s.part is not Part.EFFORTS
-    ]
-    clock = mapping.clock
-    if clock is not None:
-        what = clock.signal or f"{clock.rate_hz:g} Hz"
-        guessed = "guessed" if mapping.clock_guessed else ""
-        rows.append(("time", "", what, clock.unit if clock.signal else "", guessed))
-    table("Signals", ["what", "field", "signal", "unit", ""], rows)
 
 
 def show_case(case: MadeCase) -> None:

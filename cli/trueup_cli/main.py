@@ -48,7 +48,7 @@ _COMMANDS = {
     "migrate": ("run:migrate", "Bring the database's schema up to date.", LOCAL),
     "kernels": ("run:kernels", "Compile the rollout kernels into the cache.", LOCAL),
     "plant": ("plant:app", "Register and look at plants.", CALLS_SERVICE),
-    "upload": ("registry:upload", "Upload recordings.", CALLS_SERVICE),
+    "upload": ("upload:upload", "Upload recordings of any format.", CALLS_SERVICE),
     "fit": ("registry:fit", "Fit a candidate from adaptation episodes.", CALLS_SERVICE),
     "diagnosis": (
         "registry:diagnosis",

@@ -1,15 +1,13 @@
-"""Commands that upload episodes, fit candidates and judge them."""
+"""Commands that fit candidates and judge them."""
 
 from __future__ import annotations
 
-from collections import Counter
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from trueup.errors import BadGate, NotAnEpisode
+from trueup.errors import BadGate
 from trueup.gate.line import budget_of
 from trueup_cli.digests import resolve_digest
 from trueup_cli.options import (
@@ -23,85 +21,12 @@ from trueup_cli.options import (
     connect,
     read_json,
 )
-from trueup_cli.show import Bar, as_json, moment, progress, say, show_diagnosis, table
+from trueup_cli.show import as_json, moment, progress, say, show_diagnosis, table
 from trueup_client import Client
 from trueup_client.problem import Problem
 from trueup_client.records import Decision, GateInLine, JobWithReads
 
 SHORTEST_PREFIX = 7  # digits alone: fewer are a version's number
-SENDING = 0.9  # share of the bar for sending; the rest is the inspection by the service
-
-
-def upload(plant: PlantName, *files: Path, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
-    """Upload recordings. The same file again is the same episode.
-
-    Parameters
-    ----------
-    files
-        MCAP files, or folders that hold some
-    """
-    client, paths = connect(url), [path for file in files for path in _recordings(file)]
-    if not paths:
-        raise NotAnEpisode(
-            "nothing to upload was named",
-            rule="samples",
-            hint="Name MCAP files, or folders that hold some.",
-        )
-    uploaded = []
-    for path in paths:
-        with progress(f"upload {path.name}") as bar:
-            try:
-                uploaded.append(client.upload_episode(plant, path, partial(_show_sent, bar)))
-            except Problem as problem:
-                problem.facts.setdefault("file", str(path))
-                raise
-    if as_json_:
-        as_json(uploaded)
-    else:
-        warned = Counter(
-            warning
-            for episode in uploaded
-            for warning in episode["summary"].get("collection", {}).get("warnings", [])
-        )
-        for warning, times in warned.items():
-            say("[yellow]{} of {} episodes[/]: {}", times, len(uploaded), warning)
-        if warned:
-            say(
-                "[dim]A recording declares in its metadata record `episode`, a plant in "
-                "plant.json: docs/plant.md.[/]"
-            )
-        table(
-            "Episodes",
-            ["file", "digest", "role", "samples", "seconds"],
-            [
-                (
-                    p.name,
-                    e["digest"][:12],
-                    e["role"],
-                    e["summary"]["samples"],
-                    e["summary"]["duration_s"],
-                )
-                for p, e in zip(paths, uploaded, strict=True)
-            ],
-        )
-
-
-def _recordings(path: Path) -> list[Path]:
-    """Returns the MCAP files that a path names. Raises NotAnEpisode if a folder holds none."""
-    if not path.is_dir():
-        return [path]
-    files = sorted(path.glob("*.mcap"))
-    if not files:
-        raise NotAnEpisode(
-            f"{path} holds no *.mcap",
-            rule="samples",
-            hint="Name MCAP files, or folders that hold some.",
-        )
-    return files
-
-
-def _show_sent(bar: Bar, share: float) -> None:
-    bar(SENDING * share, "sending" if share < 1.0 else "inspecting")
 
 
 def fit(

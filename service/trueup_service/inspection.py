@@ -22,6 +22,7 @@ import orjson
 
 from trueup.canonical import Json
 from trueup.errors import BadArtifact, BadEpisode, TrueupError
+from trueup.recording.received import Described
 from trueup_service.errors import InspectionFailed
 
 LENGTH = "!Q"  # of a request, in front of it
@@ -52,7 +53,8 @@ class PlantContext:
 
 
 def mcap_path(path: Path) -> Path:
-    """The path at which a batch of telemetry becomes an MCAP file."""
+    """The path at which a batch of telemetry, or a file of another format, becomes an MCAP
+    file."""
     return path.with_suffix(".mcap")
 
 
@@ -67,18 +69,25 @@ class Inspector:
         self._control: socket.socket | None = None
 
     async def inspect(
-        self, path: Path, against: PlantContext, *, telemetry: bool = False
+        self,
+        path: Path,
+        against: PlantContext,
+        *,
+        described: Described | None = None,
+        telemetry: bool = False,
     ) -> Inspected:
-        """Inspect a file as an episode of a plant. A batch of telemetry becomes the MCAP file
-        `mcap_path(path)`.
+        """Inspect a file as an episode of a plant. A batch of telemetry, and a file of another
+        format, becomes the MCAP file `mcap_path(path)`.
 
         Raises BadEpisode with the child's code and facts, and InspectionFailed at a limit.
         """
-        return Inspected(
-            **await self._reply(
-                {**asdict(against), "path": str(path.absolute()), "telemetry": telemetry}
-            )
-        )
+        request: dict[str, Json] = {
+            **asdict(against),
+            "path": str(path.absolute()),
+            "telemetry": telemetry,
+            "described": None if described is None else asdict(described),
+        }
+        return Inspected(**await self._reply(request))
 
     async def try_artifact(self, manifest: bytes, arrays: Path | None) -> None:
         """Load an artifact from its manifest and the file of its arrays, and let it answer its

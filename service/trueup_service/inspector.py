@@ -5,8 +5,8 @@ each.
 
 Standard input is a socket. Each message on it brings another socket, from which the child reads its
 request, as a length and that many bytes of JSON, and on which it replies with one JSON document. A
-child that meets a limit, or whose caller hangs up, dies alone. Telemetry is first written as an
-MCAP file beside the received one.
+child that meets a limit, or whose caller hangs up, dies alone. Telemetry, and what is of another
+format, is first written as an MCAP file beside the received one.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ from trueup.episode.telemetry import telemetry_to_mcap
 from trueup.episode.writer import write_episode
 from trueup.errors import TrueupError
 from trueup.model.plant import Plant
+from trueup.recording.received import Described, as_episode
 from trueup_service.inspection import LENGTH, Inspected, PlantContext, mcap_path
 
 REHEARSED_SAMPLES = 200
@@ -68,6 +69,13 @@ def inspect_file(path: Path, against: PlantContext) -> Inspected:
     )
 
 
+def episode_file(path: Path, plant: dict[str, Json], described: dict[str, Any]) -> Path:
+    """The file of the episode that a received file is, or that is written beside it. Raises
+    BadEpisode, BadMapping, BadPlant."""
+    layout = Plant.from_document(plant).layout
+    return as_episode(path, layout, Described(**described), mcap_path(path))
+
+
 def convert_file(path: Path, plant: dict[str, Json]) -> Path:
     """Write a batch of telemetry as an MCAP file beside it, and return its path. Raises BadEpisode,
     BadPlant."""
@@ -93,7 +101,11 @@ def answer(request: dict[str, Any]) -> dict[str, Any]:
             )
             return {}
         path = Path(request["path"])
-        held = convert_file(path, request["plant"]) if request["telemetry"] else path
+        held = path
+        if request["telemetry"]:
+            held = convert_file(path, request["plant"])
+        elif request["described"] is not None:
+            held = episode_file(path, request["plant"], request["described"])
         return asdict(inspect_file(held, PlantContext(request["plant"], request["coverage"])))
     except TrueupError as error:
         return {

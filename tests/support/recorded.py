@@ -277,3 +277,55 @@ def controller_bag(run, path, joint="elbow"):
         for i, at in enumerate(run.stamps_ns)
     ]
     return as_db3(path, {"/arm_controller/controller_state": (kind, messages, None)})
+
+
+def as_mcap(run, path, joint="elbow"):
+    """An MCAP of `ros2 bag record`: JointState on two topics, and no metadata."""
+    from trueup.episode.layout import Channel, Field, Layout
+    from trueup.episode.writer import write_episode
+
+    layout = Layout(
+        (
+            Channel("q", "rad", Field.POSITION, joint),
+            Channel("v", "rad/s", Field.VELOCITY, joint),
+        ),
+        (Channel("u", "N·m", Field.EFFORT, joint),),
+    )
+    with path.open("wb") as file:
+        write_episode(
+            file,
+            stamps_ns=run.stamps_ns,
+            observations=np.stack([run.q, run.v], axis=1),
+            commands=run.u[:, None],
+            layout=layout,
+            role=None,
+            conditions={},
+        )
+    return path
+
+
+def ros1_bag(run, path, joint="elbow"):
+    """A ROS 1 bag with JointState on two topics."""
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store, kind = get_typestore(Stores.ROS1_NOETIC), "sensor_msgs/msg/JointState"
+    path.unlink(missing_ok=True)
+
+    def message(i, **fields):
+        at = int(run.stamps_ns[i])
+        stamp = store.types["builtin_interfaces/msg/Time"](sec=at // 10**9, nanosec=at % 10**9)
+        head = store.types["std_msgs/msg/Header"](seq=i, stamp=stamp, frame_id="")
+        none = np.zeros(0)
+        values = {"position": none, "velocity": none, "effort": none, **fields}
+        state = store.types[kind](header=head, name=[joint], **values)
+        return store.serialize_ros1(state, kind)
+
+    with Writer(path) as bag:
+        states = bag.add_connection("/joint_states", kind, typestore=store)
+        commands = bag.add_connection("/joint_commands", kind, typestore=store)
+        for i, at in enumerate(run.stamps_ns):
+            of = {"position": run.q[i : i + 1], "velocity": run.v[i : i + 1]}
+            bag.write(states, int(at), message(i, **of))
+            bag.write(commands, int(at), message(i, effort=run.u[i : i + 1]))
+    return path

@@ -10,11 +10,11 @@ from tests.support.made import T0_NS, TRUE, arm_layout, plant_document
 from trueup.diagnose.case import read_case
 from trueup.episode.layout import Channel, Field, Layout
 from trueup.episode.role import Role
-from trueup.episode.survey import survey
 from trueup.episode.writer import Encoding, write_episode
-from trueup.errors import BadPlant, NotAnEpisode, NotIdentifiable
+from trueup.errors import BadMapping, BadPlant, NotAnEpisode, NotIdentifiable
 from trueup.model.plant import Plant
-from trueup_cli.init import CaseOptions, make_case
+from trueup.recording.format import open_runs
+from trueup_cli.init import CaseOptions, case_of
 
 PLANT = Plant.from_document(plant_document())
 LAYOUT = Layout(
@@ -59,18 +59,25 @@ def record(
     return path
 
 
+def make_case(log, out, options):
+    return case_of(log, out, options, is_quiet=True)
+
+
 @pytest.mark.parametrize("encoding", Encoding)
-def test_a_log_is_surveyed_in_every_encoding(tmp_path, encoding):
-    path = record(tmp_path / "bag.mcap", 0, encoding=encoding)
-    with path.open("rb") as file:
-        surveyed = survey(file, path.stat().st_size)
-    topics = {s.topic: s for s in surveyed.topics}
-    assert set(topics) == {"/robot/joint_states", "/robot/effort_command"}
-    assert topics["/robot/joint_states"].joints == ("hinge",)
-    assert topics["/robot/joint_states"].fields == (Field.POSITION, Field.VELOCITY)
-    assert topics["/robot/effort_command"].fields == (Field.EFFORT,)
-    assert topics["/robot/joint_states"].period_s == pytest.approx(0.05)
-    assert (topics["/robot/joint_states"].messages, surveyed.role) == (600, None)
+def test_the_signals_of_a_log_are_seen_in_every_encoding(tmp_path, encoding):
+    (run,) = open_runs(record(tmp_path / "bag.mcap", 0, encoding=encoding))
+    streams = {s.name: s for s in run.recording.streams}
+    assert set(streams) == {"/robot/joint_states", "/robot/effort_command"}
+    states = streams["/robot/joint_states"].signals
+    assert {(s.name, s.joint, s.field) for s in states} == {
+        ("hinge/position", "hinge", Field.POSITION),
+        ("hinge/velocity", "hinge", Field.VELOCITY),
+    }
+    (command,) = streams["/robot/effort_command"].signals
+    assert (command.joint, command.field) == ("hinge", Field.EFFORT)
+    span = run.recording.span("/robot/joint_states", None)
+    assert (span.last_ns - span.first_ns) / 599 == pytest.approx(5e7)
+    assert (span.rows, run.recording.role) == (600, None)
 
 
 def test_a_bag_of_several_files_becomes_a_case(tmp_path):
@@ -140,7 +147,7 @@ def test_several_joints_are_asked_about(tmp_path):
         "issued": np.hstack([issued, issued]),
     }
     path = record(tmp_path / "arm.mcap", 3, layout=arm_layout(2), **both)
-    with pytest.raises(BadPlant, match="2 joints") as refused:
+    with pytest.raises(BadMapping, match="2 joints") as refused:
         make_case(path, tmp_path / "case", CaseOptions())
     assert "j0, j1" in refused.value.hint
     make_case(path, tmp_path / "case", CaseOptions(joint="j1"))
@@ -152,12 +159,13 @@ def test_several_joints_are_asked_about(tmp_path):
 
 def test_what_cannot_be_found_is_named_with_what_there_is(tmp_path):
     path = record(tmp_path / "bag.mcap", 4)
-    with pytest.raises(BadPlant) as refused:
+    with pytest.raises(BadMapping) as refused:
         make_case(path, tmp_path / "case", CaseOptions(observation="/nothing"))
     assert "/robot/joint_states" in refused.value.hint
+    (tmp_path / "empty").mkdir()
     with pytest.raises(NotAnEpisode) as refused:
-        make_case(tmp_path / "case", tmp_path / "other", CaseOptions())
-    assert "ros2 bag record" in refused.value.hint
+        make_case(tmp_path / "empty", tmp_path / "other", CaseOptions())
+    assert "docs/recordings.md" in refused.value.hint
 
 
 def test_a_command_that_never_moves_is_refused(tmp_path):

@@ -6,7 +6,7 @@ Made by tools/make_async_client.py.
 from __future__ import annotations
 
 import os
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 
 from trueup_client.calls.plants import PlantCalls
 from trueup_client.files import Progress, no_progress
@@ -33,14 +33,34 @@ class AsyncPlantCalls(Pooled):
         return self._pool.each(PlantCalls.plants)
 
     async def upload_episode(
-        self, plant: str, path: str | os.PathLike[str], progress: Progress = no_progress
+        self,
+        plant: str,
+        path: str | os.PathLike[str],
+        progress: Progress = no_progress,
+        *,
+        role: str | None = None,
+        conditions: Mapping[str, str] | None = None,
+        mapping: Document | None = None,
+        part: str | None = None,
     ) -> Episode:
-        """Uploads an MCAP file, streamed, with its digest; the same file again is the same episode.
+        """Uploads a recording, streamed, with its digest; the same file again is the same episode.
 
-        A file of more than 32 MiB goes in parts. Where the connection breaks, the upload resumes
-        behind the bytes that arrived, in this call or the next.
+        An MCAP file may declare its role itself. Of a file of another format (CSV, Parquet, HDF5,
+        npz, a ROS bag, a zip of a LeRobot dataset) say the `role`, the `conditions` and, where
+        names do not tell it, by a `mapping` which signals are meant; `part` names one of several
+        runs in it. A file of more than 32 MiB goes in parts. Where the connection breaks, the
+        upload resumes behind the bytes that arrived, in this call or the next.
         """
-        return await self._pool.run(PlantCalls.upload_episode, plant, path, progress)
+        return await self._pool.run(
+            PlantCalls.upload_episode,
+            plant,
+            path,
+            progress,
+            role=role,
+            conditions=conditions,
+            mapping=mapping,
+            part=part,
+        )
 
     def episodes(self, plant: str, role: str | None = None) -> AsyncIterator[Episode]:
         """Yields the episodes of a plant, or those of one role."""

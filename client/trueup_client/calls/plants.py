@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
 import os
 import time
-from collections.abc import Iterator
+import uuid
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from urllib.parse import urlencode
 
 from trueup_client.files import Progress, ReadProgress, digest_of, no_progress
 from trueup_client.problem import Problem, Unreachable
@@ -15,6 +18,18 @@ from trueup_client.records import Document, Episode, EpisodeContext, Plant
 from trueup_client.transport import Transport, url_path
 
 RESUMABLE_FROM_BYTES = 32 << 20  # a longer upload goes in parts, and is resumed where it broke off
+MEDIA_TYPES = {
+    ".mcap": "application/mcap",
+    ".csv": "text/csv",
+    ".tsv": "text/tab-separated-values",
+    ".parquet": "application/vnd.apache.parquet",
+    ".h5": "application/x-hdf5",
+    ".hdf5": "application/x-hdf5",
+    ".npz": "application/x-npz",
+    ".db3": "application/vnd.sqlite3",
+    ".bag": "application/x-rosbag",
+    ".zip": "application/zip",
+}
 PART_ATTEMPTS = 5  # in a row, none of which brings a byte further
 PART_RETRY_S = 0.2
 
@@ -38,35 +53,63 @@ class PlantCalls(Transport):
         return self._pages(url_path("plants"), "after")
 
     def upload_episode(
-        self, plant: str, path: str | os.PathLike[str], progress: Progress = no_progress
+        self,
+        plant: str,
+        path: str | os.PathLike[str],
+        progress: Progress = no_progress,
+        *,
+        role: str | None = None,
+        conditions: Mapping[str, str] | None = None,
+        mapping: Document | None = None,
+        part: str | None = None,
     ) -> Episode:
-        """Uploads an MCAP file, streamed, with its digest; the same file again is the same episode.
+        """Uploads a recording, streamed, with its digest; the same file again is the same episode.
 
-        A file of more than 32 MiB goes in parts. Where the connection breaks, the upload resumes
-        behind the bytes that arrived, in this call or the next.
+        An MCAP file may declare its role itself. Of a file of another format (CSV, Parquet, HDF5,
+        npz, a ROS bag, a zip of a LeRobot dataset) say the `role`, the `conditions` and, where
+        names do not tell it, by a `mapping` which signals are meant; `part` names one of several
+        runs in it. A file of more than 32 MiB goes in parts. Where the connection breaks, the
+        upload resumes behind the bytes that arrived, in this call or the next.
         """
-        digest = digest_of(path)
+        digest, file = digest_of(path), Path(path)
+        asked = {
+            "role": role,
+            "conditions": None if conditions is None else json.dumps(dict(conditions)),
+            "mapping": None if mapping is None else json.dumps(mapping),
+            "part": part,
+        }
+        said = {name: value for name, value in asked.items() if value is not None}
+        if said:
+            said["name"] = file.name
+        media_type = MEDIA_TYPES.get(file.suffix.lower(), "application/octet-stream")
         if os.path.getsize(path) > RESUMABLE_FROM_BYTES:
-            return self._upload_in_parts(
-                url_path("plants", plant, "uploads", digest), Path(path), progress
-            )
+            upload = url_path("plants", plant, "uploads", digest)
+            return self._upload_in_parts(upload, file, progress, said, media_type)
         sha256 = base64.b64encode(bytes.fromhex(digest)).decode()
+        key = hashlib.sha256(json.dumps([digest, said], sort_keys=True).encode()).hexdigest()
         headers = {
             "Content-Digest": f"sha-256=:{sha256}:",
             "Content-Length": str(os.path.getsize(path)),
-            "Content-Type": "application/octet-stream",
-            "Idempotency-Key": digest,
+            "Content-Type": media_type if said else "application/octet-stream",
+            "Idempotency-Key": key if said else digest,
         }
         return json.loads(
             self._connection.whole(
                 "POST",
-                url_path("plants", plant, "episodes"),
+                url_path("plants", plant, "episodes", **said),
                 lambda: ReadProgress(path, progress),
                 headers,
             )
         )
 
-    def _upload_in_parts(self, upload: str, file: Path, progress: Progress) -> Episode:
+    def _upload_in_parts(
+        self,
+        upload: str,
+        file: Path,
+        progress: Progress,
+        said: Mapping[str, str],
+        media_type: str,
+    ) -> Episode:
         """Sends what is missing of a file to an upload's path, then finishes the upload.
 
         Raises Unreachable once PART_ATTEMPTS in a row brought nothing further.
@@ -91,7 +134,10 @@ class PlantCalls(Transport):
                     raise
                 time.sleep(PART_RETRY_S * failures)
         progress(1.0)
-        return self._post(f"{upload}/finish", None)
+        query = f"?{urlencode(said)}" if said else ""
+        headers = {"Content-Type": media_type, "Idempotency-Key": uuid.uuid4().hex}
+        answer = self._connection.whole("POST", f"{upload}/finish{query}", lambda: b"", headers)
+        return json.loads(answer)
 
     def episodes(self, plant: str, role: str | None = None) -> Iterator[Episode]:
         """Yields the episodes of a plant, or those of one role."""

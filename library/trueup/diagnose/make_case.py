@@ -41,10 +41,11 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Declared:
-    """What a person declares of recordings; the rest is found. `mapping` says which signals are
-    meant, else `asked` and their names do; `model` is an MJCF or URDF file."""
+    """What a person declares of recordings; the rest is found. `name` is the plant's; `mapping`
+    says which signals are meant, else `asked` and their names do; `model` is an MJCF or URDF
+    file."""
 
-    name: str | None = None
+    name: str
     family: str | None = None
     stage: str = "physical"
     asked: Asked = field(default_factory=Asked)
@@ -97,7 +98,7 @@ def make_case(
         paths.append(_write(part, mapping, layout, out / f"{i}-{part.role}.mcap", declared.stage))
     progress("identifying a first model", 0.6)
     episodes = [_read(path, layout) for path in paths]
-    document = _document(runs[0].path, declared, layout, episodes, out)
+    document = _document(declared, layout, episodes, out)
     (out / PLANT_FILE).write_text(json.dumps(document, indent=1, ensure_ascii=False) + "\n")
     (out / MAPPING_FILE).write_text(json.dumps(mapping.document(), indent=1) + "\n")
     progress("looking for faults in the log", 0.9)
@@ -195,10 +196,9 @@ def _topics(run: Run, mapping: SignalMapping) -> dict[str, str]:
 
 
 def _document(
-    path: Path, declared: Declared, layout: Layout, episodes: Sequence[Episode], out: Path
+    declared: Declared, layout: Layout, episodes: Sequence[Episode], out: Path
 ) -> dict[str, Any]:
-    name = declared.name or (path.stem if path.is_file() else path.resolve().name)
-    plain = re.sub(r"[^a-z0-9_-]+", "-", name.lower()).strip("-_")[:63] or "robot"
+    plain = re.sub(r"[^a-z0-9_-]+", "-", declared.name.lower()).strip("-_")[:63] or "robot"
     fitted = [e for e in episodes if e.role is Role.ADAPTATION]
     if not fitted:
         raise BadPlant(

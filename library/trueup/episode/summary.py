@@ -11,8 +11,8 @@ from trueup.episode.layout import Channel
 
 
 def summarise(episode: Episode) -> dict[str, Json]:
-    """Samples, duration [s], median period [s], gaps, conditions, missing channels, and the range
-    of each channel in its unit."""
+    """Samples, duration [s], median period [s], gaps, conditions, missing channels, what it was
+    made from if it came in another format, and the range of each channel in its unit."""
     channels = [
         *zip(episode.layout.observations, episode.observations.T, strict=True),
         *zip(episode.layout.commands, episode.commands.T, strict=True),
@@ -24,6 +24,7 @@ def summarise(episode: Episode) -> dict[str, Json]:
         "gaps": len(episode.gaps),
         "conditions": dict(episode.conditions),
         "missing": list(episode.missing),
+        **({"source": dict(episode.source)} if episode.source else {}),
         "ranges": {channel.name: _range(channel, values) for channel, values in channels},
     }
 

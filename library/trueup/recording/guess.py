@@ -109,7 +109,13 @@ class _Guess:
             return True
         if q.joint is None:
             return is_only
-        return _plain(q.joint) == _plain(joint) or (is_only and q.signal.joint is None)
+        return _plain(q.joint) == _plain(joint) or (is_only and self._is_loose(q))
+
+    def _is_loose(self, q: Quantity) -> bool:
+        """Whether a signal may be of the one joint although its name says another word: where no
+        message says its joint, and no second joint is seen."""
+        joints = {x.joint for x in self._all if x.field is Field.POSITION and x.joint is not None}
+        return q.signal.joint is None and len(joints) <= 1
 
     def _observed(
         self, of: Sequence[Quantity], wanted: Field, symbol: str, joint: str | None
@@ -120,7 +126,7 @@ class _Guess:
         seen = [q for q in of if q.field is wanted and self._may_be_observed(q)]
         how: tuple[str, ...] = ()
         if not seen:  # a vector of states whose entries have no names
-            seen = [q for q in of if q.field is None and q.is_measured]
+            seen = [q for q in of if q.field is None and q.is_measured and not q.is_command]
             how = ("signal",)
         best = _best(seen, lambda q: (self._by_layout(q, wanted), q.is_measured, _first(q)))
         if len(best) != 1:
@@ -267,6 +273,8 @@ class _Guess:
         named = next((x.unit for x in positions if x.unit in (*ANGLES, *LENGTHS)), None)
         if named is not None:
             return "m" if named in LENGTHS else named
+        if isinstance(self._recording, TableRecording) and self._recording.angles:
+            return self._recording.angles
         for other in [q] if q is not None else positions[:1]:
             reach = self._head.get(other.signal.name)
             if reach is not None and np.nanmax(np.abs(np.asarray(reach, float))) > TURNS:

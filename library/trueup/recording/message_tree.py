@@ -19,7 +19,8 @@ from trueup.recording.recording import Signal
 
 JOINT_NAMES = ("joint_names", "names", "name")  # lists of them name the entries of lists beside
 INTERFACE_NAMES = "interface_names"  # of DynamicJointState: what is measured of one joint
-TIMES = ("header", "stamp", "timestamp")  # of a message, not of the machine
+# of a message, not of the machine: its times, and the shape of a multi-array
+ABOUT = ("header", "stamp", "timestamp", "layout")
 SILENT = ("interface_values", "values", "joints", "dof_states", "data")  # say nothing in a path
 FIELDS = {
     "position": Field.POSITION,
@@ -112,7 +113,7 @@ def _walk(node: Mapping[str, Any], place: _Place) -> Iterator[tuple[_Place, Any]
         place, joints=own or place.joints, interfaces=_texts(node.get(INTERFACE_NAMES)) or ()
     )
     for key, value in node.items():
-        if key in TIMES and not place.path:
+        if key in ABOUT and not place.path:
             continue
         at = here.at(key)
         if isinstance(value, Mapping):

@@ -32,7 +32,10 @@ class ParquetTable:
         self._parquet = optional("pyarrow.parquet", "tables", "Parquet")
         self._paths, self._limits, self._rows = tuple(paths), limits, rows
         self._names = names or {}
-        self._of = self._columns_of(paths[0])
+        try:
+            self._of = self._columns_of(paths[0])
+        except (OSError, ValueError, IndexError) as error:
+            raise _malformed(paths[0], error) from error
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -75,10 +78,10 @@ class ParquetTable:
                         yield {n: self._column(part, n, path) for n in names}
 
     def _batches(self, path: Path, file: Any, read: list[str]) -> Iterator[Any]:
-        for group in range(file.metadata.num_row_groups):
-            self._allow(path, file.metadata.row_group(group))
         try:
-            yield from file.iter_batches(BLOCK_ROWS, columns=read)
+            for group in range(file.metadata.num_row_groups):
+                self._allow(path, file.metadata.row_group(group))
+            yield from file.iter_batches(BLOCK_ROWS, columns=read, use_threads=False)
         except (OSError, ValueError) as error:  # Arrow's errors are of these kinds
             raise _malformed(path, error) from error
 

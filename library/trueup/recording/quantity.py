@@ -25,8 +25,9 @@ from trueup.episode.units import (
 from trueup.recording.recording import Signal, Stream
 
 BRACKETS = re.compile(r"[\[({<]\s*([^\])}>]*?)\s*[\])}>]\s*$")
+APART = re.compile(r"[^A-Za-z0-9·°µ]+")
 WORD = re.compile(r"[A-Za-z]+\d*|\d+")
-CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
+CAMEL = re.compile(r"(?<=[a-z]{2})(?=[A-Z])|(?<=[a-z0-9])(?=[A-Z][a-z])")
 INDEXED = re.compile(
     r"(q|dq|qd|qdot|u|v|tau|pos|position|vel|velocity|torque|theta|omega|cmd|eff|effort)_?(\d+)"
 )
@@ -94,7 +95,6 @@ ENDINGS = {
     ("newton",): "N",
     ("amps",): "A",
     ("amp",): "A",
-    ("a",): "A",
     ("ma",): "mA",
     ("volt",): "V",
     ("volts",): "V",
@@ -154,17 +154,25 @@ def _without_unit(name: str) -> tuple[str, str | None]:
         if _is_unit(inner):
             return name[: bracketed.start()], spelled(inner)
     of_name = words(name)
-    for count in range(min(LONGEST_ENDING, len(of_name) - 1), 0, -1):
+    for count in range(min(LONGEST_ENDING, len(of_name) - 1), 1, -1):
         unit = ENDINGS.get(tuple(of_name[-count:]))
         if unit is not None:
-            is_field = unit == "pwm"  # the name of the quantity as well as its unit
-            return "_".join(of_name if is_field else of_name[:-count]), unit
-    return name, None
+            return "_".join(of_name[:-count]), unit
+    *before, last = APART.split(name)
+    if not before:
+        return name, None
+    unit = spelled(last) if _is_unit(last) else ENDINGS.get((last.lower(),))
+    if unit is None:
+        return name, None
+    names_field = unit == "pwm"  # the quantity as well as its unit
+    return "_".join([*before, last] if names_field else before), unit
 
 
 def _is_unit(text: str) -> bool:
     known = any(spelled(text) in dimension for dimension in DIMENSIONS)
-    return known or text.lower() in ("%", "pwm", "counts", "ticks", "1", "-")
+    if len(text) == 1:  # a small letter is a symbol, as in `joint_v`, but for these
+        known = known and (text.isupper() or text in "sm°")
+    return known or text.lower() in ("%", "pwm", "counts", "ticks")
 
 
 def words(name: str) -> list[str]:

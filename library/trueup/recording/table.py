@@ -29,7 +29,8 @@ KINDS = "bifuMm"  # of numpy's types: truth values, numbers, dates, spans of tim
 
 
 class TableRecording(Recording):
-    """A recording of one table with these columns, which `blocks` reads."""
+    """A recording of one table with these columns, which `blocks` reads. `suggested` is its clock
+    and `angles` the unit of its angles, where its format tells them."""
 
     def __init__(
         self,
@@ -38,10 +39,11 @@ class TableRecording(Recording):
         columns: Sequence[str],
         blocks: Blocks,
         suggested: Clock | None = None,
+        angles: str | None = None,
     ) -> None:
         self.name, self.format = name, format_
         self._columns, self._blocks = tuple(columns), blocks
-        self.suggested = suggested
+        self.suggested, self.angles = suggested, angles
 
     @property
     def role(self) -> str | None:

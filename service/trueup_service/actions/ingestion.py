@@ -109,6 +109,8 @@ def ingest_episode(
         "size_bytes": size_bytes,
         "conditions": inspected.summary["conditions"],
     }
+    if "source" in inspected.summary:
+        facts["source"] = inspected.summary["source"]
     if inspected.samples_digest is not None:
         facts["samples_digest"] = inspected.samples_digest
     tx.log.append(context, "episode:ingested", plant=plant, subject=digest, facts=facts)

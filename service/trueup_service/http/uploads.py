@@ -11,20 +11,31 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from io import FileIO
 from pathlib import Path
+from typing import Annotated
 
-from fastapi import Request, Response
+import orjson
+from fastapi import Depends, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 
+from trueup.episode.role import Role
+from trueup.recording.received import Described
 from trueup_service.actions.ingestion import ReceivedFile, ingest
 from trueup_service.actor_context import ActorContext
 from trueup_service.errors import BadRequest, DigestMismatch, TooLargeUpload
-from trueup_service.http.dependencies import created
+from trueup_service.http.dependencies import created, inspector_of
 from trueup_service.http.schemas.episodes import Episode
-from trueup_service.inspection import Inspected
+from trueup_service.inspection import Inspected, PlantContext, mcap_path
 from trueup_service.partial_uploads import write_all
 from trueup_service.wiring import Parts
 
+# what a client sends that does not know what it sends
+UNTYPED = (
+    "",
+    "application/octet-stream",
+    "application/x-www-form-urlencoded",
+    "binary/octet-stream",
+)
 PART_BYTES, SYNC_BYTES = 256 << 10, 4 << 20
 ARRAYS_HINT = "Pack a smaller model, or raise TRUEUP_ARRAYS_LIMIT_BYTES."
 
@@ -109,6 +120,74 @@ def _require_digest(header: str | None, digest: str) -> None:
             and value.strip(":") != base64.b64encode(bytes.fromhex(digest)).decode()
         ):
             raise DigestMismatch("the body is not what Content-Digest says", found=digest)
+
+
+def described(
+    request: Request,
+    role: Annotated[
+        Role | None, Query(description="What it was recorded for, where the file does not say it")
+    ] = None,
+    conditions: Annotated[
+        str | None,
+        Query(max_length=4096, description="The collection conditions, a JSON object of text"),
+    ] = None,
+    mapping: Annotated[
+        str | None,
+        Query(max_length=65536, description="Which signals are meant: a mapping, as JSON"),
+    ] = None,
+    part: Annotated[
+        str | None,
+        Query(max_length=255, description="Which of several runs in the file, by name or number"),
+    ] = None,
+    name: Annotated[str | None, Query(max_length=255, description="The file's name")] = None,
+) -> Described:
+    """What is said of a recording beside its bytes. Raises BadRequest."""
+    media_type = (request.headers.get("content-type") or "").split(";")[0].strip().lower()
+    return Described(
+        name,
+        None if media_type in UNTYPED else media_type,
+        role,
+        _conditions(conditions),
+        mapping,
+        part,
+    )
+
+
+def _conditions(text: str | None) -> dict[str, str]:
+    if text is None:
+        return {}
+    try:
+        values = orjson.loads(text)
+    except orjson.JSONDecodeError as error:
+        raise BadRequest(f"conditions is not JSON: {error}", field="conditions") from error
+    if (
+        not isinstance(values, dict)
+        or not all(isinstance(v, str) for v in values.values())
+        or "role" in values
+    ):
+        raise BadRequest(
+            "conditions is an object of text; the role stands beside it", field="conditions"
+        )
+    return values
+
+
+RecordingDescription = Annotated[Described, Depends(described)]
+
+
+@asynccontextmanager
+async def inspected_episode(
+    request: Request, file: ReceivedFile, against: PlantContext, described: Described
+) -> AsyncIterator[tuple[ReceivedFile, Inspected]]:
+    """The episode that a received file is, or that is made of it, which is removed at the end, and
+    what it holds. Raises BadEpisode, InspectionFailed."""
+    made = mcap_path(file.path)
+    try:
+        inspected = await inspector_of(request).inspect(file.path, against, described=described)
+        if made.exists():
+            file = ReceivedFile(made, inspected.digest, made.stat().st_size)
+        yield file, inspected
+    finally:
+        made.unlink(missing_ok=True)
 
 
 def ingest_response(

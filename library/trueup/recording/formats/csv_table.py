@@ -71,8 +71,13 @@ class _Form:
 
 
 def _form(path: Path) -> _Form:
-    with _open(path) as file:
-        line = file.readline(LINE_CHARACTERS)
+    try:
+        with _open(path) as file:
+            line = file.readline(LINE_CHARACTERS)
+    except UnicodeDecodeError as error:
+        raise MalformedRecording(
+            f"{path.name} is not UTF-8: {error}", rule="text", line=1
+        ) from error
     delimiter = max(DELIMITERS, key=line.count)
     with _open(path) as file:
         rows = list(islice(_rows(file, delimiter, path.name), LOOKED_AT_ROWS + 1))

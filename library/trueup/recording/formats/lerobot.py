@@ -27,6 +27,7 @@ from trueup.recording.table import TableRecording
 INFO, DATA = "meta/info.json", "data/*/*.parquet"
 VERSION = "v3"
 OWN = ("timestamp", "frame_index", "episode_index", "index", "task_index")
+ANGLES = "deg"  # of its drivers, unless they were told to normalise a joint's range to +-100
 TOLERANCE_S = 1e-4  # LeRobot's own, for times that should be a whole number of frames
 
 
@@ -117,7 +118,8 @@ def _run(
                 kept["timestamp"] = exact if agree else logged
             yield kept
 
-    return TableRecording(name, LeRobot.name, columns, blocks, Clock("timestamp", "s"))
+    clock = Clock("timestamp", "s")
+    return TableRecording(name, LeRobot.name, columns, blocks, clock, ANGLES)
 
 
 FORMAT = LeRobot()

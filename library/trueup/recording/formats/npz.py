@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,18 @@ from trueup.recording.table import TableRecording
 
 MAGIC = b"PK\x03\x04"
 MOST_ARRAYS = 4096
+# what zipfile, zlib and numpy raise at a damaged archive
+UNSOUND = (
+    zipfile.BadZipFile,
+    zlib.error,
+    ValueError,
+    OSError,
+    EOFError,
+    KeyError,
+    SyntaxError,
+    NotImplementedError,
+    RuntimeError,
+)
 
 
 class Npz(Format):
@@ -49,7 +62,7 @@ def _arrays(path: Path, limits: Limits) -> dict[str, NDArray[Any]]:
                 )
         with np.load(path, allow_pickle=False) as arrays:
             return {name: _array(arrays, name) for name in arrays.files}
-    except (zipfile.BadZipFile, ValueError, OSError, EOFError, KeyError, SyntaxError) as error:
+    except UNSOUND as error:
         raise MalformedRecording(
             f"{path.name} is no sound npz: {error}", rule="container"
         ) from error

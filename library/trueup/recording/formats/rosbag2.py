@@ -66,7 +66,7 @@ def _blocks(file: Path, limits: Limits, part: int) -> Iterator[Block]:
     with _opened(file) as bag:
         by_number = _topics(bag, part * limits.channels, limits)
         topics, loose = {t.id: t for t in by_number.values()}, Loose()
-        rows = bag.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY timestamp, id")
+        rows = bag.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY id")
         for index, (number, timestamp, data) in enumerate(rows):
             topic = by_number.get(number) if isinstance(number, int) else None
             if topic is None or not isinstance(timestamp, int) or not isinstance(data, bytes):
@@ -103,7 +103,7 @@ def _opened(file: Path) -> Iterator[sqlite3.Connection]:
             bag.execute("PRAGMA mmap_size = 0")
             _require_tables(bag, file)
             yield bag
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeDecodeError) as error:
         raise MalformedRecording(
             f"{file.name} cannot be read as a bag: {error}", rule="container"
         ) from error

@@ -1,4 +1,4 @@
-"""Routes of episodes: upload recordings as MCAP, list, get, download."""
+"""Routes of episodes: upload recordings of any format, list, get, download."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import StreamingResponse
 
 from trueup.episode.role import Role
+from trueup.recording.format import known_formats
 from trueup_service.actions import find
 from trueup_service.actions.ingestion import plant_context
 from trueup_service.actions.move_pointer import position_document
@@ -20,7 +21,6 @@ from trueup_service.http.dependencies import (
     PlantName,
     RequestContext,
     RequestParts,
-    inspector_of,
 )
 from trueup_service.http.downloads import send_blob
 from trueup_service.http.guard import guarded
@@ -28,16 +28,29 @@ from trueup_service.http.openapi import already_exists
 from trueup_service.http.schemas.episodes import Episode, EpisodeContext
 from trueup_service.http.schemas.serving import Serving
 from trueup_service.http.schemas.wire import Page, page
-from trueup_service.http.uploads import ingest_response, received
+from trueup_service.http.uploads import (
+    RecordingDescription,
+    ingest_response,
+    inspected_episode,
+    received,
+)
 from trueup_service.inspection import Inspected
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
 router = guarded("/v1/plants/{plant}/episodes", ["episodes"])
-MCAP = {
+BINARY = {"schema": {"type": "string", "format": "binary"}}
+RECORDING = {
     "requestBody": {
         "required": True,
-        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
+        "content": dict.fromkeys(
+            [
+                "application/octet-stream",
+                "application/zip",
+                *(media for known in known_formats() for media in known.media_types),
+            ],
+            BINARY,
+        ),
     }
 }
 
@@ -48,26 +61,34 @@ MCAP = {
     response_model=Episode,
     summary="Upload an episode",
     responses=already_exists(Episode),
-    openapi_extra=MCAP,
+    openapi_extra=RECORDING,
 )
 async def upload(
     request: Request,
     parts: RequestParts,
     context: RequestContext,
     plant: PlantName,
+    described: RecordingDescription,
     key: IdempotencyKey = None,
 ) -> Response:
-    """The body is an MCAP file. It is hashed while it streams, and compared with `Content-Digest`
-    (RFC 9530) if that is sent.
+    """The body is a recording: an MCAP file with its role and JointState on the plant's topics, or
+    a file of another format that docs/recordings.md lists, with its role as a parameter. That
+    becomes an episode that is kept as MCAP, whose `source` names the file by its SHA-256. The body
+    is hashed while it streams, and compared with `Content-Digest` (RFC 9530) if that is sent.
 
     All or nothing: once answered, the bytes and their audit entry are durable. The same bytes again
-    are the same episode.
+    are the same episode. Where names do not tell which signals are meant, the answer is 422 with
+    the `mapping` that is guessed, to be sent back.
     """
     against = await run_in_threadpool(plant_context, parts, plant)
     async with received(request, parts.spool, parts.settings.upload_limit_bytes) as file:
         known = await run_in_threadpool(_known, parts, plant, file.digest)
-        inspected = known or await inspector_of(request).inspect(file.path, against)
-        return await run_in_threadpool(ingest_response, parts, context, plant, key, file, inspected)
+        if known is not None:
+            return await run_in_threadpool(ingest_response, parts, context, plant, key, file, known)
+        async with inspected_episode(request, file, against, described) as (episode, inspected):
+            return await run_in_threadpool(
+                ingest_response, parts, context, plant, key, episode, inspected
+            )
 
 
 def _known(parts: Parts, plant: str, digest: str) -> Inspected | None:

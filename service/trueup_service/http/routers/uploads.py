@@ -11,7 +11,8 @@ from fastapi import Header, Request, Response
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 
-from trueup.errors import BadEpisode
+from trueup.errors import BadEpisode, BadMapping
+from trueup.recording.received import Described
 from trueup_service.actions.ingestion import ReceivedFile, known_episode, plant_context
 from trueup_service.actor_context import ActorContext
 from trueup_service.errors import DigestMismatch, NotFound
@@ -21,12 +22,15 @@ from trueup_service.http.dependencies import (
     PlantName,
     RequestContext,
     RequestParts,
-    inspector_of,
 )
 from trueup_service.http.guard import guarded
 from trueup_service.http.openapi import already_exists
 from trueup_service.http.schemas.episodes import Episode, Upload
-from trueup_service.http.uploads import ingest_response
+from trueup_service.http.uploads import (
+    RecordingDescription,
+    ingest_response,
+    inspected_episode,
+)
 from trueup_service.inspection import PlantContext
 from trueup_service.partial_uploads import PartialUploads, Quota, digest_of_file
 from trueup_service.wiring import Parts
@@ -96,6 +100,7 @@ async def finish(
     context: RequestContext,
     plant: PlantName,
     digest: Digest,
+    described: RecordingDescription,
     key: IdempotencyKey = None,
 ) -> Response:
     """The bytes must have the digest of the path; then it is as if they had come at once. What is
@@ -105,7 +110,9 @@ async def finish(
     against = await run_in_threadpool(plant_context, parts, plant)
     try:
         with uploads.alone(plant, digest):
-            answer = await _finished(request, parts, context, plant, digest, key, against)
+            answer = await _finished(
+                request, parts, context, plant, digest, key, against, described
+            )
             uploads.drop(plant, digest)
             return answer
     except FileNotFoundError as error:
@@ -128,6 +135,7 @@ async def _finished(
     digest: str,
     key: str | None,
     against: PlantContext,
+    described: Described,
 ) -> Response:
     uploads = PartialUploads(parts.settings.data_dir)
     path = uploads.path(plant, digest)
@@ -137,16 +145,15 @@ async def _finished(
             raise DigestMismatch(
                 "the parts together are not what the path names", expected=digest, found=received
             )
-        inspected = await inspector_of(request).inspect(path, against)
-    except (DigestMismatch, BadEpisode):
+        file = ReceivedFile(path, digest, path.stat().st_size)
+        async with inspected_episode(request, file, against, described) as (episode, inspected):
+            return await run_in_threadpool(
+                ingest_response, parts, context, plant, key, episode, inspected
+            )
+    except DigestMismatch:
         uploads.drop(plant, digest)
         raise
-    return await run_in_threadpool(
-        ingest_response,
-        parts,
-        context,
-        plant,
-        key,
-        ReceivedFile(path, digest, path.stat().st_size),
-        inspected,
-    )
+    except BadEpisode as error:
+        if error.code != BadMapping.code:  # it is finished again, with the mapping
+            uploads.drop(plant, digest)
+        raise
