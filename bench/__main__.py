@@ -7,6 +7,7 @@ ALL = (
     "kernel",
     "footprint",
     "ingest",
+    "formats",
     "malformed",
     "hostile",
     "openapi",

@@ -45,6 +45,19 @@ PACKAGES = (
         "pip install 'trueup-cli[server]'",
     ),
     ("mujoco", False, "robots given as MJCF or URDF", "pip install 'trueup[mujoco]'"),
+    (
+        "pyarrow",
+        False,
+        "recordings in Parquet, LeRobot datasets",
+        "pip install 'trueup[tables]'",
+    ),
+    ("h5py", False, "recordings in HDF5", "pip install 'trueup[tables]'"),
+    (
+        "rosbags",
+        False,
+        "ROS messages other than JointState, ROS 1 bags",
+        "pip install 'trueup[ros]'",
+    ),
     ("mlflow", False, "versions to and from an MLflow registry", "pip install 'trueup[mlflow]'"),
     ("onnx", False, "models written as ONNX", "pip install 'trueup[onnx]'"),
 )

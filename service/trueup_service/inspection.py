@@ -22,7 +22,7 @@ import orjson
 
 from trueup.canonical import Json
 from trueup.errors import BadArtifact, BadEpisode, TrueupError
-from trueup.recording.received import Described
+from trueup.recording.described import Described
 from trueup_service.errors import InspectionFailed
 
 LENGTH = "!Q"  # of a request, in front of it

@@ -39,7 +39,8 @@ from trueup.episode.telemetry import telemetry_to_mcap
 from trueup.episode.writer import write_episode
 from trueup.errors import TrueupError
 from trueup.model.plant import Plant
-from trueup.recording.received import Described, as_episode
+from trueup.recording.described import Described
+from trueup.recording.received import as_episode
 from trueup_service.inspection import LENGTH, Inspected, PlantContext, mcap_path
 
 REHEARSED_SAMPLES = 200

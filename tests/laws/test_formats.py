@@ -1,5 +1,5 @@
-"""Every format obeys the same laws: a run comes back as it was written, with its irregular times and
-its gaps, and whatever is wrong with a file is refused with a rule, and quickly."""
+"""Every format obeys the same laws: a run comes back as it was written, with its irregular times
+and its gaps, and whatever is wrong with a file is refused with a rule, and quickly."""
 
 import io
 import zipfile
@@ -171,7 +171,7 @@ def test_a_file_beyond_the_limit_is_refused(name, tmp_path):
 @pytest.mark.parametrize("name", FILES)
 def test_damaged_files_are_refused_and_nothing_else_happens(name, tmp_path):
     path = WRITERS[name](RUN, tmp_path)
-    whole, rng = path.read_bytes(), np.random.default_rng(2)
+    whole, rng, refusals = path.read_bytes(), np.random.default_rng(2), 0
     for attempt in range(60):
         spoilt = bytearray(whole)
         if attempt % 3 == 0:
@@ -183,22 +183,24 @@ def test_damaged_files_are_refused_and_nothing_else_happens(name, tmp_path):
         try:
             for run in open_runs(path, LIMITS):
                 episode_of(run.recording)
-        except (BadEpisode, BadMapping) as refused:
-            assert refused.message
+        except (BadEpisode, BadMapping):
+            refusals += 1
+    assert refusals
 
 
 def test_a_bomb_of_zeros_is_refused_before_it_unfolds(tmp_path):
     size = 256 << 20
     path = tmp_path / "bomb.npz"
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
-        with archive.open("q.npy", "w", force_zip64=True) as entry:
-            head = io.BytesIO()
-            np.lib.format.write_array_header_1_0(
-                head, {"descr": "<f8", "fortran_order": False, "shape": (size // 8,)}
-            )
-            entry.write(head.getvalue())
-            for _ in range(size >> 20):
-                entry.write(bytes(1 << 20))
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive,
+        archive.open("q.npy", "w", force_zip64=True) as entry,
+    ):
+        head = io.BytesIO()
+        declared = {"descr": "<f8", "fortran_order": False, "shape": (size // 8,)}
+        np.lib.format.write_array_header_1_0(head, declared)
+        entry.write(head.getvalue())
+        for _ in range(size >> 20):
+            entry.write(bytes(1 << 20))
     with pytest.raises(TooLarge):
         open_runs(path, LIMITS)
 

@@ -6,7 +6,6 @@ import csv
 import json
 import sqlite3
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -131,15 +130,6 @@ def as_lerobot(runs, folder, *, names=("elbow.pos",), degrees=True, fps=100):
     return folder
 
 
-DEFINITIONS = {
-    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id\n",
-    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec\n",
-    "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec\n",
-    "trajectory_msgs/JointTrajectoryPoint": "float64[] positions\nfloat64[] velocities\n"
-    "float64[] accelerations\nfloat64[] effort\nbuiltin_interfaces/Duration time_from_start\n",
-}
-
-
 def typestore():
     """ROS 2 message types, with ros2_control's."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -208,7 +198,8 @@ def controller_state(store, stamp_ns, joint, q, v, u):
 
 
 def as_db3(path, topics, *, defines=True):
-    """A SQLite bag of `topics`: of each its type, and messages with their log time [ns] and data."""
+    """A SQLite bag of `topics`: of each its type, messages with their log time [ns], and the type's
+    definition."""
     bag = sqlite3.connect(path)
     bag.executescript(
         "CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);"

@@ -14,6 +14,7 @@ from types import ModuleType
 from trueup.episode.container import LIMITS, Limits
 from trueup.errors import NotAnEpisode, NotInstalled, of_file
 from trueup.recording import formats
+from trueup.recording.described import MEDIA_TYPES
 from trueup.recording.recording import Recording
 
 HEAD_BYTES = 64  # of a file, by which a format knows its own
@@ -22,13 +23,11 @@ HEAD_BYTES = 64  # of a file, by which a format knows its own
 class Format(ABC):
     """One format of recordings.
 
-    `name` stands in provenance; `suffixes` are the ends of its files' names, `media_types` what an
-    upload may call it.
+    `name` stands in provenance; `suffixes` are the ends of its files' names.
     """
 
     name: str
     suffixes: tuple[str, ...]
-    media_types: tuple[str, ...]
 
     @abstractmethod
     def knows(self, path: Path, head: bytes) -> bool:
@@ -58,7 +57,7 @@ def format_of(path: Path, media_type: str | None = None) -> Format:
     if path.is_file():
         with path.open("rb") as file:
             head = file.read(HEAD_BYTES)
-    named = [f for f in known_formats() if media_type in f.media_types]
+    named = [f for f in known_formats() if media_type in MEDIA_TYPES[f.name]]
     for format_ in named or known_formats():
         if format_.knows(path, head):
             return format_

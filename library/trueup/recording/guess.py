@@ -6,23 +6,21 @@ preference or a usual unit decided is marked as guessed, to be shown to a person
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
 from trueup.episode.layout import Channel, Field, Layout
-from trueup.episode.units import ANGLES, LENGTHS, TIMES, spelled
+from trueup.episode.units import ANGLES, LENGTHS, spelled
 from trueup.errors import BadMapping
+from trueup.recording.guess_clock import best, clock_of, signals_in_words
 from trueup.recording.mapping import Part, SignalMapping, Source
 from trueup.recording.quantity import Quantity, quantity_of, words
 from trueup.recording.recording import Clock, Recording, Signal, Stream
 from trueup.recording.table import TableRecording
 
 TURNS = 4.0 * np.pi  # [rad] beyond two turns a joint's angle is taken to be in degrees
-EPOCH = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))  # what counts from 1970 is at least so large
-SLOWEST_S = 1.0  # between samples of a controlled joint: a longer step is in a smaller unit
 
 
 @dataclass(frozen=True)
@@ -64,7 +62,10 @@ class _Guess:
         for name in (asked.observation, asked.command):
             if name is not None and recording.stream(name) is None:
                 raise self._refused(f"no signal is on {name}", "topics")
-        self._clock, self._is_clock_guessed = self._clocked()
+        self._clock: Clock | None = None
+        self._is_clock_guessed = False
+        if isinstance(recording, TableRecording):
+            self._clock, self._is_clock_guessed = clock_of(recording, self._all, asked.clock)
 
     def mapping(self, joints: Sequence[str] | None) -> SignalMapping:
         if joints is None:
@@ -128,11 +129,11 @@ class _Guess:
         if not seen:  # a vector of states whose entries have no names
             seen = [q for q in of if q.field is None and q.is_measured and not q.is_command]
             how = ("signal",)
-        best = _best(seen, lambda q: (self._by_layout(q, wanted), q.is_measured, _first(q)))
-        if len(best) != 1:
-            what = f"{len(best)} signals look like the {wanted}"
+        likely = best(seen, lambda q: (self._by_layout(q, wanted), q.is_measured, _first(q)))
+        if len(likely) != 1:
+            what = f"{len(likely)} signals look like the {wanted}"
             raise self._refused(what + (f" of {joint}" if joint else ""), symbol)
-        return best[0], how or (("signal",) if len(seen) > 1 and self._is_table else ())
+        return likely[0], how or (("signal",) if len(seen) > 1 and self._is_table else ())
 
     def _may_be_observed(self, q: Quantity) -> bool:
         if self._asked.observation is not None:
@@ -157,10 +158,12 @@ class _Guess:
             and q.stream == position.stream
             and _phase(q) == _phase(position)
         ]
-        best = _best(seen, lambda q: (self._by_layout(q, Field.VELOCITY), q.is_measured, _first(q)))
-        if not best:
+        likely = best(
+            seen, lambda q: (self._by_layout(q, Field.VELOCITY), q.is_measured, _first(q))
+        )
+        if not likely:
             return None
-        return best[0], ("signal",) if len(best) > 1 else ()
+        return likely[0], ("signal",) if len(likely) > 1 else ()
 
     def _commanded(
         self, of: Sequence[Quantity], position: Quantity, joint: str | None
@@ -176,13 +179,13 @@ class _Guess:
             marked = [q for q in others if q.field is Field.EFFORT and not _is_applied(q)]
         if declared is not None:
             marked = [q for q in marked if q.field in (declared.field, None)] or marked
-        best = _best(marked, lambda q: (self._by_command(q, declared), _strength(q), _first(q)))
-        if len(best) != 1:
+        likely = best(marked, lambda q: (self._by_command(q, declared), _strength(q), _first(q)))
+        if len(likely) != 1:
             raise self._refused(
-                f"{len(best)} signals look like the command" + (f" of {joint}" if joint else ""),
+                f"{len(likely)} signals look like the command" + (f" of {joint}" if joint else ""),
                 "u",
             )
-        chosen = best[0]
+        chosen = likely[0]
         if chosen.field is None:
             is_target = position.field is None and _phase(chosen) != "output"
             chosen = replace(chosen, field=Field.POSITION if is_target else Field.EFFORT)
@@ -281,56 +284,9 @@ class _Guess:
                 return "deg"
         return "rad"
 
-    # -- time
-
     @property
     def _is_table(self) -> bool:
         return isinstance(self._recording, TableRecording)
-
-    def _clocked(self) -> tuple[Clock | None, bool]:
-        """How a table's rows get their time, and whether that is a guess."""
-        if not isinstance(self._recording, TableRecording):
-            return None, False
-        asked = self._asked.clock
-        if asked is not None and (asked.rate_hz is not None or asked.unit):
-            return asked, False
-        if asked is None and self._recording.suggested is not None:
-            return self._recording.suggested, False
-        times = [q for q in self._all if q.is_time and self._increases(q.signal.name)]
-        if asked is not None:
-            times = [q for q in self._all if q.signal.name == asked.signal]
-        best = _best(times, lambda q: (q.unit in TIMES, _first(q)))
-        if not best:
-            raise self._refused("no column looks like the time", "time")
-        chosen = best[0]
-        if chosen.unit in TIMES and chosen.unit is not None:
-            return Clock(chosen.signal.name, chosen.unit), len(best) > 1
-        unit, is_told = self._time_unit(chosen.signal.name)
-        return Clock(chosen.signal.name, unit), len(best) > 1 or not is_told
-
-    def _increases(self, name: str) -> bool:
-        values = self._head.get(name)
-        if values is None or len(values) < 2:  # noqa: PLR2004  (a step needs two)
-            return True
-        if values.dtype.kind == "M":
-            return True
-        steps = np.diff(np.asarray(values, float))
-        return bool((steps >= 0.0).mean() > 1.0 / 2.0 and steps.any())
-
-    def _time_unit(self, name: str) -> tuple[str, bool]:
-        """The unit of a column of times that names none, and whether it is certain."""
-        values = self._head.get(name)
-        if values is None or not len(values) or values.dtype.kind == "M":
-            return "s", True
-        times = np.asarray(values, float)
-        for least, unit in EPOCH:
-            if abs(times[0]) >= least:
-                return unit, True
-        step = float(np.nanmedian(np.abs(np.diff(times)))) if len(times) > 1 else 0.0
-        for unit, size in TIMES.items():
-            if step * size < SLOWEST_S:
-                return unit, unit == "s"
-        return "ns", False
 
     # -- what was asked for
 
@@ -374,7 +330,6 @@ class _Guess:
             "q": "--signal.q",
             "v": "--signal.v",
             "u": "--signal.u",
-            "time": "--time, or give the rate with --rate",
         }.get(field_, "--observation and --command")
         return BadMapping(
             f"{self._recording.name}: {what}",
@@ -383,32 +338,12 @@ class _Guess:
         )
 
 
-MOST_LISTED = 40
-
-
-def signals_in_words(recording: Recording) -> str:
-    """Every signal of a recording, for a person to choose from."""
-    parts = []
-    for stream in recording.streams:
-        names = [s.name for s in stream.signals]
-        more = f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
-        listed = ", ".join(names[:MOST_LISTED]) + more
-        parts.append(f"{stream.name} ({stream.kind}): {listed}" if stream.name else listed)
-    return f"There is {'; '.join(parts) or 'no signal'}."
-
-
 def _with_name(stream: Stream, signal: Signal, names: Sequence[str]) -> Signal:
     """A signal with its joint, where it is an entry of a list that has no names of its own."""
     index = signal.name.rpartition("/")[2]
     if not stream.is_clocked or signal.joint is not None or not index.isdigit():
         return signal
     return replace(signal, joint=names[int(index)]) if int(index) < len(names) else signal
-
-
-def _best(among: Sequence[Quantity], key: Callable[[Quantity], Any]) -> list[Quantity]:
-    """Those of the largest key."""
-    keys = [key(q) for q in among]
-    return [q for q, k in zip(among, keys, strict=True) if k == max(keys)]
 
 
 PHASES = {"output": 2, "reference": 1, "feedback": 1, "desired": 0, "actual": 0}

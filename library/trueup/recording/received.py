@@ -7,8 +7,7 @@ meant, the guess is sent back, to be confirmed as a mapping.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import orjson
@@ -18,28 +17,11 @@ from trueup.episode.layout import Layout
 from trueup.episode.role import Role
 from trueup.errors import BadMapping, NotAnEpisode
 from trueup.recording.archive import unpacked
+from trueup.recording.described import Described
 from trueup.recording.format import Run, open_runs
 from trueup.recording.guess import guess
 from trueup.recording.mapping import SignalMapping, read_mapping
 from trueup.recording.transcribe import Origin, origin_of, transcribe
-
-
-@dataclass(frozen=True, slots=True)
-class Described:
-    """What is said of a file beside its bytes: its name and media type, the role and conditions of
-    the episode, the mapping as JSON, and the part that is meant of a file of several runs."""
-
-    name: str | None = None
-    media_type: str | None = None
-    role: str | None = None
-    conditions: Mapping[str, str] = field(default_factory=dict)
-    mapping: str | None = None
-    part: str | None = None
-
-    @property
-    def is_silent(self) -> bool:
-        """Whether nothing is said: the file speaks for itself."""
-        return not (self.role or self.conditions or self.mapping or self.part)
 
 
 def as_episode(

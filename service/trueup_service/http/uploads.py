@@ -19,7 +19,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 
 from trueup.episode.role import Role
-from trueup.recording.received import Described
+from trueup.recording.described import Described
 from trueup_service.actions.ingestion import ReceivedFile, ingest
 from trueup_service.actor_context import ActorContext
 from trueup_service.errors import BadRequest, DigestMismatch, TooLargeUpload

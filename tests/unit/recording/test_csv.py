@@ -1,10 +1,10 @@
-"""CSV as teams have it: other delimiters, decimal commas, dates, empty cells; and what is refused."""
+"""CSV as teams have it: other delimiters, decimal commas, dates, empty cells; what is refused."""
 
 import numpy as np
 import pytest
 
-from tests.support import recorded
 from tests.laws.test_formats import episode_of
+from tests.support import recorded
 from trueup.errors import MalformedRecording
 from trueup.recording.format import open_runs
 from trueup.recording.guess import guess

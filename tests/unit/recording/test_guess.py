@@ -1,4 +1,4 @@
-"""Which signals are meant: by name, by unit, by reach, for one joint, several, or a declared plant."""
+"""Which signals are meant: by name, unit and reach, for one joint, several, or a declared plant."""
 
 import numpy as np
 import pytest
@@ -15,8 +15,8 @@ RUN = recorded.simulated(200)
 N = len(RUN.q)
 
 
-def guessed(columns, asked=Asked(), **known):
-    return guess(table_recording(columns), asked, **known)
+def guessed(columns, asked=None, **known):
+    return guess(table_recording(columns), asked or Asked(), **known)
 
 
 def signals(mapping):

@@ -61,7 +61,7 @@ def test_an_older_version_is_refused_with_what_converts_it(tmp_path):
 def test_a_damaged_dataset_is_refused(tmp_path, spoil):
     folder = recorded.as_lerobot(RUNS, tmp_path / "d")
     rng = np.random.default_rng(3)
-    whole = (folder / spoil).read_bytes()
+    whole, refusals = (folder / spoil).read_bytes(), 0
     for _ in range(30):
         spoilt = bytearray(whole)
         for at in rng.integers(0, len(whole), 4):
@@ -70,5 +70,6 @@ def test_a_damaged_dataset_is_refused(tmp_path, spoil):
         try:
             for run in open_runs(folder):
                 episode_of(run.recording)
-        except BadEpisode as refused:
-            assert refused.message
+        except BadEpisode:
+            refusals += 1
+    assert refusals

@@ -35,7 +35,6 @@ class Csv(Format):
 
     name = "csv"
     suffixes = (".csv", ".tsv", ".txt")
-    media_types = ("text/csv", "text/tab-separated-values")
 
     def knows(self, path: Path, head: bytes) -> bool:
         return path.is_file() and (path.suffix in self.suffixes or _is_text(head))

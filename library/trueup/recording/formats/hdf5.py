@@ -28,7 +28,6 @@ class Hdf5(Format):
 
     name = "hdf5"
     suffixes = (".h5", ".hdf5", ".he5")
-    media_types = ("application/x-hdf5", "application/x-hdf")
 
     def knows(self, path: Path, head: bytes) -> bool:
         return head.startswith(MAGIC) or (path.is_file() and path.suffix in self.suffixes)
@@ -76,7 +75,7 @@ def _malformed(path: Path, error: Exception) -> MalformedRecording:
 def _datasets(file: Any, path: Path) -> list[tuple[str, Any]]:
     """Every dataset of numbers that lies in the file itself, by its path; links to other files are
     not followed."""
-    h5py, found = optional("h5py", "tables", "HDF5"), list[tuple[str, Any]]()
+    h5py, datasets = optional("h5py", "tables", "HDF5"), list[tuple[str, Any]]()
     waiting = [("", file)]
     try:
         while waiting:
@@ -89,8 +88,8 @@ def _datasets(file: Any, path: Path) -> list[tuple[str, Any]]:
                     if name.count("/") < MOST_ENTRIES:
                         waiting.append((f"{name}/", item))
                 elif isinstance(item, h5py.Dataset) and not item.is_virtual and not item.external:
-                    found.append((name, item))
-                if len(found) + len(waiting) > MOST_DATASETS:
+                    datasets.append((name, item))
+                if len(datasets) + len(waiting) > MOST_DATASETS:
                     raise TooLarge(
                         f"{path.name} has more than {MOST_DATASETS} datasets",
                         limit="datasets",
@@ -98,7 +97,7 @@ def _datasets(file: Any, path: Path) -> list[tuple[str, Any]]:
                     )
     except (OSError, RuntimeError, KeyError, ValueError) as error:
         raise _malformed(path, error) from error
-    return sorted(found, key=lambda f: f[0])
+    return sorted(datasets, key=lambda d: d[0])
 
 
 def _split(name: str) -> tuple[str, str]:

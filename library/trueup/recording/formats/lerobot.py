@@ -36,7 +36,6 @@ class LeRobot(Format):
 
     name = "lerobot"
     suffixes = ("meta/info.json",)
-    media_types = ()
 
     def knows(self, path: Path, head: bytes) -> bool:
         return path.is_dir() and (path / INFO).is_file() and (path / "data").is_dir()

@@ -17,7 +17,6 @@ class Mcap(Format):
 
     name = "mcap"
     suffixes = (".mcap",)
-    media_types = ("application/mcap", "application/x-mcap")
 
     def knows(self, path: Path, head: bytes) -> bool:
         return head.startswith(MAGIC) or path.suffix == ".mcap"

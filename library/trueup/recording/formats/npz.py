@@ -38,7 +38,6 @@ class Npz(Format):
 
     name = "npz"
     suffixes = (".npz",)
-    media_types = ("application/x-npz",)
 
     def knows(self, path: Path, head: bytes) -> bool:
         return path.is_file() and (path.suffix == ".npz" or head.startswith(MAGIC))

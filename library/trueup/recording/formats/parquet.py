@@ -18,7 +18,6 @@ class Parquet(Format):
 
     name = "parquet"
     suffixes = (".parquet",)
-    media_types = ("application/vnd.apache.parquet", "application/x-parquet")
 
     def knows(self, path: Path, head: bytes) -> bool:
         return head.startswith(MAGIC) or (path.is_file() and path.suffix == ".parquet")

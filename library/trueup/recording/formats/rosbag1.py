@@ -20,7 +20,6 @@ class RosBag1(Format):
 
     name = "rosbag1"
     suffixes = (".bag",)
-    media_types = ("application/x-rosbag",)
 
     def knows(self, path: Path, head: bytes) -> bool:
         return head.startswith(MAGIC) or path.suffix == ".bag"

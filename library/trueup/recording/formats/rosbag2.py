@@ -28,7 +28,6 @@ class RosBag2(Format):
 
     name = "rosbag2"
     suffixes = (".db3",)
-    media_types = ("application/vnd.sqlite3", "application/x-sqlite3")
 
     def knows(self, path: Path, head: bytes) -> bool:
         if path.is_dir():

@@ -9,7 +9,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import StreamingResponse
 
 from trueup.episode.role import Role
-from trueup.recording.format import known_formats
+from trueup.recording.described import ARCHIVE_TYPES, MEDIA_TYPES
 from trueup_service.actions import find
 from trueup_service.actions.ingestion import plant_context
 from trueup_service.actions.move_pointer import position_document
@@ -46,8 +46,8 @@ RECORDING = {
         "content": dict.fromkeys(
             [
                 "application/octet-stream",
-                "application/zip",
-                *(media for known in known_formats() for media in known.media_types),
+                *ARCHIVE_TYPES,
+                *(media_type for of in MEDIA_TYPES.values() for media_type in of),
             ],
             BINARY,
         ),

@@ -12,7 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 
 from trueup.errors import BadEpisode, BadMapping
-from trueup.recording.received import Described
+from trueup.recording.described import Described
 from trueup_service.actions.ingestion import ReceivedFile, known_episode, plant_context
 from trueup_service.actor_context import ActorContext
 from trueup_service.errors import DigestMismatch, NotFound
