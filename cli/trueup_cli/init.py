@@ -209,4 +209,4 @@ def show_case(case: MadeCase) -> None:
         ],
     )
     for finding in case.findings:
-        say("[yellow]{}[/]: {} {}", finding.fault, finding.evidence, finding.advice)
+        say("[yellow]{}[/]: {}. {}", finding.fault, finding.evidence, finding.advice)

@@ -199,14 +199,13 @@ def _document(
     declared: Declared, layout: Layout, episodes: Sequence[Episode], out: Path
 ) -> dict[str, Any]:
     plain = re.sub(r"[^a-z0-9_-]+", "-", declared.name.lower()).strip("-_")[:63] or "robot"
-    fitted = [e for e in episodes if e.role is Role.ADAPTATION]
-    if not fitted:
+    if not any(e.role is Role.ADAPTATION for e in episodes):
         raise BadPlant(
             "no recording has the role adaptation, and nothing can be identified",
             field="role",
         )
     if declared.model is None:
-        return describe(plain, layout, fitted, declared.family)
+        return describe(plain, layout, episodes, declared.family)
     if declared.model.resolve() != (out / declared.model.name).resolve():
         shutil.copyfile(declared.model, out / declared.model.name)
-    return describe_robot(plain, layout, fitted, declared.model.name)
+    return describe_robot(plain, layout, episodes, declared.model.name)

@@ -14,6 +14,7 @@ from typing import Any
 from trueup.canonical import Json
 from trueup.episode.episode import Episode
 from trueup.episode.layout import Channel, Layout
+from trueup.episode.role import Role
 from trueup.errors import BadPlant, NotIdentifiable
 from trueup.fit.identify import identify
 from trueup.model.family import families
@@ -28,13 +29,14 @@ HORIZON_S, PARTS = 1.0, 5.0
 def describe(
     name: str, layout: Layout, episodes: Sequence[Episode], family: str | None = None
 ) -> dict[str, Json]:
-    """A plant.json of one joint for adaptation episodes of this layout. Raises BadPlant,
-    NotIdentifiable."""
+    """A plant.json of one joint for episodes of this layout, whose numbers are those of the
+    adaptation episodes. Raises BadPlant, NotIdentifiable."""
     document = _undriven(name, layout, episodes)
+    used = [e for e in episodes if e.role is Role.ADAPTATION]
     fitted = {
         f: identification
         for f in ([family] if family else SIMPLEST)
-        if (identification := _fitted(document, f, episodes)) is not None
+        if (identification := _fitted(document, f, used)) is not None
     }
     if not fitted:
         raise NotIdentifiable(
@@ -95,8 +97,8 @@ def _rounded_up(x: float) -> float:
 def describe_robot(
     name: str, layout: Layout, episodes: Sequence[Episode], model: str
 ) -> dict[str, Json]:
-    """A plant.json of a robot whose model is the MJCF or URDF file `model` beside it, for
-    adaptation episodes of this layout. Raises NotIdentifiable."""
+    """A plant.json of a robot whose model is the MJCF or URDF file `model` beside it, for episodes
+    of this layout. Raises NotIdentifiable."""
     document = _undriven(name, layout, episodes)
     document["nominal"] = {"mjcf": model, "timestep_s": document["nominal"]["timestep_s"]}
     return document
