@@ -104,7 +104,7 @@ COMPILE := $(BIN)/uv pip compile --quiet --universal --generate-hashes --no-anno
 lock: $(BIN)/uv ## pin the dependencies anew
 	@$(COMPILE) --extra mujoco --extra onnx --extra server $(PROJECTS) -o requirements.txt
 	@$(COMPILE) -c requirements.txt --extra server --extra mlflow --extra mujoco --extra onnx \
-		--extra tables --extra ros \
+		--extra tables --extra ros --extra plot \
 		--group pyproject.toml:dev $(PROJECTS) -o requirements-dev.txt
 	@$(COMPILE) -c requirements-dev.txt --extra tables --extra ros cli/pyproject.toml \
 		service/pyproject.toml library/pyproject.toml -o deploy/server.txt

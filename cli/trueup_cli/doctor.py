@@ -58,6 +58,7 @@ PACKAGES = (
         "ROS messages other than JointState, ROS 1 bags",
         "pip install 'trueup[ros]'",
     ),
+    ("matplotlib", False, "pictures of a diagnosis in a notebook", "pip install 'trueup[plot]'"),
     ("mlflow", False, "versions to and from an MLflow registry", "pip install 'trueup[mlflow]'"),
     ("onnx", False, "models written as ONNX", "pip install 'trueup[onnx]'"),
 )

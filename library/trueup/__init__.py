@@ -11,16 +11,47 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from trueup.artifact.model import Model, load
+    from trueup.notebook.case import Case
+    from trueup.notebook.diagnosis import Diagnosis, diagnose
+    from trueup.notebook.models import FirstModel, Inertia, Oscillator, Pendulum, Robot
 
-__all__ = ["Model", "load"]
+__all__ = [
+    "Case",
+    "Diagnosis",
+    "FirstModel",
+    "Inertia",
+    "Model",
+    "Oscillator",
+    "Pendulum",
+    "Robot",
+    "diagnose",
+    "load",
+]
 __version__ = "0.1.0"
+
+_MODULES = {
+    "Model": "trueup.artifact.model",
+    "load": "trueup.artifact.model",
+    "Case": "trueup.notebook.case",
+    "Diagnosis": "trueup.notebook.diagnosis",
+    "diagnose": "trueup.notebook.diagnosis",
+    "FirstModel": "trueup.notebook.models",
+    "Inertia": "trueup.notebook.models",
+    "Oscillator": "trueup.notebook.models",
+    "Pendulum": "trueup.notebook.models",
+    "Robot": "trueup.notebook.models",
+}
 
 
 def __getattr__(name: str) -> Any:
-    """`trueup.load` and `trueup.Model`, brought when they are asked for: a program that only serves
-    needs no numpy."""
-    if name not in __all__:
+    """What `__all__` names, brought when it is asked for: a program that only serves needs no
+    numpy."""
+    if name not in _MODULES:
         raise AttributeError(f"module 'trueup' has no attribute {name!r}")
-    from trueup.artifact import model  # noqa: PLC0415
+    from importlib import import_module  # noqa: PLC0415
 
-    return getattr(model, name)
+    return getattr(import_module(_MODULES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -23,16 +23,16 @@ from trueup.episode.episode import Episode
 from trueup.episode.layout import Layout
 from trueup.episode.mcap import read_episode
 from trueup.episode.role import Role
-from trueup.errors import BadPlant, NotAnEpisode, of_file
+from trueup.errors import BadPlant, of_file
 from trueup.fit.first_model import describe, describe_robot
 from trueup.model.mjcf import compile_file, resolved
 from trueup.model.plant import Plant
 from trueup.recording.format import Run
 from trueup.recording.guess import Asked, guess
 from trueup.recording.mapping import Part, SignalMapping, layout_of
-from trueup.recording.transcribe import origin_of, transcribe
+from trueup.recording.parts import RecordingPart, parts_of
+from trueup.recording.transcribe import origin_of
 
-HELD_OUT = 0.3  # share of what was recorded
 JOINT_STATE = "JointState"
 MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
 PLANT_FILE, MAPPING_FILE = "plant.json", "mapping.json"
@@ -91,11 +91,14 @@ def make_case(
     out.mkdir(parents=True, exist_ok=True)
     for earlier in out.glob("*.mcap"):  # of a case that was made here before
         earlier.unlink()
-    parts = list(_parts(runs, mapping))
+    of = {id(run.recording): run for run in runs}
+    parts = parts_of([run.recording for run in runs], mapping)
     paths = []
     for i, part in enumerate(parts):
         progress(f"writing episode {i + 1} of {len(parts)}", 0.1 + 0.5 * i / len(parts))
-        paths.append(_write(part, mapping, layout, out / f"{i}-{part.role}.mcap", declared.stage))
+        to = out / f"{i}-{part.role}.mcap"
+        run = of[id(part.recording)]
+        paths.append(_write(run, part, mapping, layout, to, declared.stage))
     progress("identifying a first model", 0.6)
     episodes = [_read(path, layout) for path in paths]
     document = _document(declared, layout, episodes, out)
@@ -123,59 +126,16 @@ def model_beside(path: Path) -> Path | None:
     return models[0] if len(models) == 1 else None
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """A part of a run, that becomes an episode of a role."""
-
-    run: Run
-    role: Role
-    begin_ns: int | None = None
-    end_ns: int | None = None
-
-
-def _parts(runs: Sequence[Run], mapping: SignalMapping) -> Sequence[_Part]:
-    """Each run is one episode, and the last ones are held out; of a single run its end is."""
-    held_out = max(1, round(HELD_OUT * len(runs)))
-    if len(runs) == 1 and runs[0].recording.role is None:
-        span = runs[0].recording.span(mapping.of(Part.OBSERVATIONS)[0].stream, mapping.clock)
-        cut = span.last_ns - int(HELD_OUT * (span.last_ns - span.first_ns))
-        return [
-            _Part(runs[0], Role.ADAPTATION, None, cut),
-            _Part(runs[0], Role.VALIDATION, cut, None),
-        ]
-    return [
-        _Part(run, _role(run, is_held_out=at >= len(runs) - held_out))
-        for at, run in enumerate(runs)
-    ]
-
-
-def _role(run: Run, *, is_held_out: bool) -> Role:
-    declared = run.recording.role
-    if declared is None:
-        return Role.VALIDATION if is_held_out else Role.ADAPTATION
-    if declared not in set(Role):
-        raise NotAnEpisode(f"the role {declared!r} is none of {', '.join(Role)}", rule="role")
-    return Role(declared)
-
-
-def _write(part: _Part, mapping: SignalMapping, layout: Layout, to: Path, stage: str) -> Path:
-    run = part.run
+def _write(
+    run: Run, part: RecordingPart, mapping: SignalMapping, layout: Layout, to: Path, stage: str
+) -> Path:
     with of_file(run.path.name):
         if run.recording.role is not None:
             shutil.copyfile(run.path, to)
             return to
+        conditions = {"stage": stage, "recording": run.part or run.path.name}
         with to.open("wb") as file:
-            transcribe(
-                run.recording,
-                mapping,
-                layout,
-                file,
-                role=part.role,
-                conditions={"stage": stage, "recording": run.part or run.path.name},
-                origin=origin_of(run.path, run.part),
-                begin_ns=part.begin_ns,
-                end_ns=part.end_ns,
-            )
+            part.write(file, mapping, layout, conditions, origin_of(run.path, run.part))
     return to
 
 

@@ -31,7 +31,7 @@ def describe(
 ) -> dict[str, Json]:
     """A plant.json of one joint for episodes of this layout, whose numbers are those of the
     adaptation episodes. Raises BadPlant, NotIdentifiable."""
-    document = _undriven(name, layout, episodes)
+    document = undriven(name, layout, episodes)
     used = [e for e in episodes if e.role is Role.ADAPTATION]
     fitted = {
         f: identification
@@ -99,12 +99,12 @@ def describe_robot(
 ) -> dict[str, Json]:
     """A plant.json of a robot whose model is the MJCF or URDF file `model` beside it, for episodes
     of this layout. Raises NotIdentifiable."""
-    document = _undriven(name, layout, episodes)
+    document = undriven(name, layout, episodes)
     document["nominal"] = {"mjcf": model, "timestep_s": document["nominal"]["timestep_s"]}
     return document
 
 
-def _undriven(name: str, layout: Layout, episodes: Sequence[Episode]) -> dict[str, Any]:
+def undriven(name: str, layout: Layout, episodes: Sequence[Episode]) -> dict[str, Any]:
     """A plant.json whose nominal model is still to be said. Raises NotIdentifiable."""
     period = min(e.period_s for e in episodes)
     reaches = [

@@ -1,0 +1,145 @@
+"""Nominal models as one writes them down: a family with its numbers, or a robot's file.
+
+A model is completed by what was recorded: its step is the time between samples, the limits of its
+commands are as far as they went, unless they are given.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from trueup.canonical import Json
+from trueup.episode.episode import Episode
+from trueup.episode.layout import Layout
+from trueup.errors import BadPlant
+from trueup.fit.first_model import describe, undriven
+from trueup.model.mjcf import compile_file, resolved
+from trueup.model.plant import Plant
+
+
+@dataclass(frozen=True)
+class NominalModel(ABC):
+    """What a user believes of a machine. `name` is the plant's; `timestep_s` [s] the step of its
+    integrator; `horizon_s` [s] the length of rollouts that predictions are judged by; `limits` of
+    each command by its name, and `envelope` of each observation, `(low, high)`."""
+
+    name: str = field(default="plant", kw_only=True)
+    timestep_s: float | None = field(default=None, kw_only=True)
+    horizon_s: float | None = field(default=None, kw_only=True)
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict, kw_only=True)
+    envelope: Mapping[str, tuple[float, float]] = field(default_factory=dict, kw_only=True)
+
+    @property
+    def joints(self) -> tuple[str, ...] | None:
+        """The joints to look for, None where there is one that needs no name."""
+        return None
+
+    @abstractmethod
+    def nominal(self) -> dict[str, Any]:
+        """The field `nominal` of plant.json, without its step."""
+
+    def plant(self, layout: Layout, episodes: Sequence[Episode]) -> Plant:
+        """The plant, completed by episodes of this layout. Raises BadPlant, NotIdentifiable."""
+        document = undriven(self.name, layout, episodes)
+        step = self.timestep_s or document["nominal"]["timestep_s"]
+        document["nominal"] = {**self.nominal(), "timestep_s": step}
+        if self.horizon_s is not None:
+            document["evaluation"] = {"horizon_s": self.horizon_s}
+        return self._read(_bounded(document, self.limits, self.envelope))
+
+    def _read(self, document: dict[str, Json]) -> Plant:
+        return Plant.from_document(document)
+
+
+def _bounded(
+    document: dict[str, Any],
+    limits: Mapping[str, tuple[float, float]],
+    envelope: Mapping[str, tuple[float, float]],
+) -> dict[str, Any]:
+    names = [c["name"] for c in document["commands"]]
+    unknown = next((n for n in limits if n not in names), None)
+    if unknown is not None:
+        raise BadPlant(f"there is no command {unknown!r}", field="limits", hint=", ".join(names))
+    for command in document["commands"]:
+        if command["name"] in limits:
+            command["limits"] = list(limits[command["name"]])
+    if envelope:
+        document["envelope"] = {name: list(bounds) for name, bounds in envelope.items()}
+    return document
+
+
+@dataclass(frozen=True)
+class Pendulum(NominalModel):
+    """A joint under gravity: a = -k sin q - c v + b u, per unit of inertia, in SI."""
+
+    k: float
+    c: float
+    b: float
+
+    def nominal(self) -> dict[str, Any]:
+        return {"family": "pendulum", "parameters": {"k": self.k, "c": self.c, "b": self.b}}
+
+
+@dataclass(frozen=True)
+class Oscillator(NominalModel):
+    """A joint on a spring, or a position servo: a = -k q - c v + b u, per unit of inertia."""
+
+    k: float
+    c: float
+    b: float
+
+    def nominal(self) -> dict[str, Any]:
+        return {"family": "oscillator", "parameters": {"k": self.k, "c": self.c, "b": self.b}}
+
+
+@dataclass(frozen=True)
+class Inertia(NominalModel):
+    """A joint that turns or slides freely: a = -c v + b u, per unit of inertia."""
+
+    c: float
+    b: float
+
+    def nominal(self) -> dict[str, Any]:
+        return {"family": "inertia", "parameters": {"c": self.c, "b": self.b}}
+
+
+@dataclass(frozen=True)
+class Robot(NominalModel):
+    """A robot of any joints, given as MJCF or URDF. Needs `trueup[mujoco]`."""
+
+    file: str | PathLike[str]
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return Path(self.file)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        return compile_file(self.path).tree.joints
+
+    def nominal(self) -> dict[str, Any]:
+        return {"mjcf": self.path.name}
+
+    def _read(self, document: dict[str, Json]) -> Plant:
+        return Plant.from_document(resolved(document, self.path.resolve().parent))
+
+
+@dataclass(frozen=True)
+class FirstModel(NominalModel):
+    """The simplest family that the recordings allow, with the numbers that fit them: for a machine
+    of which nobody has a model."""
+
+    family: str | None = None
+
+    def nominal(self) -> dict[str, Any]:
+        return {}
+
+    def plant(self, layout: Layout, episodes: Sequence[Episode]) -> Plant:
+        document: dict[str, Any] = describe(self.name, layout, episodes, self.family)
+        return Plant.from_document(_bounded(document, self.limits, self.envelope))
