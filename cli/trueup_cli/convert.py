@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
 from collections.abc import Sequence
 from functools import singledispatch
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from cyclopts import Parameter
 
 import trueup
 from trueup.artifact.model import Model, load
 from trueup.artifact.onnx import to_onnx
 from trueup.errors import NotExportable
+from trueup.export.targets import TARGETS, Asked, export
 from trueup.model.corrected import Corrected
 from trueup.model.dynamics import CompiledFamily, Dynamics
 from trueup.model.mjcf import compile_file
@@ -22,30 +26,55 @@ from trueup.model.predictor import Physical
 from trueup_cli.options import Json
 from trueup_cli.show import as_json, progress, say
 
+MODEL_FOLDER, REPORT_FILE = "model", "report.json"
 
-def convert(model: Path, to: Path, *, mjcf: Path | None = None, as_json_: Json = False) -> None:
-    """Write a fetched model as ONNX or as MJCF.
 
-    ONNX (`*.onnx`) holds one step of the model. MJCF (`*.xml`) holds the part of the model that
-    MuJoCo has elements for.
+def convert(
+    model: Path,
+    to: Path,
+    *,
+    target: Annotated[
+        str | None,
+        Parameter(help=f"Program that it is written for: {', '.join(TARGETS)}"),
+    ] = None,
+    step: Annotated[
+        float | None, Parameter(help="Physics step of the target [s]; default: the plant's")
+    ] = None,
+    inertia: Annotated[
+        float | None, Parameter(help="Inertia of a single joint [kg m^2, or kg]; default: 1")
+    ] = None,
+    mjcf: Path | None = None,
+    as_json_: Json = False,
+) -> None:
+    """Write a model for another program.
+
+    Without a target: ONNX (`*.onnx`) holds one step of the model, MJCF (`*.xml`) the part of it
+    that MuJoCo has elements for. Isaac Lab and mjlab get actuator configurations with events that
+    randomise them over their 95 % intervals, ros2_control a proposal of compensating parameters.
 
     Parameters
     ----------
     model
-        folder of a fetched model
+        folder of a fetched model, or of a diagnosis, which brings intervals
     to
-        file to write; its suffix, .onnx or .xml, says in which format
+        file to write; its suffix says in which format
     mjcf
         MJCF file that a robot was declared by; the correction is written into a copy of it
     """
-    fetched = load(model)
+    fetched, report = _read(model)
     with progress(f"writing {to.name}"):
-        if to.suffix not in WRITERS:
+        if target is not None:
+            asked = Asked(
+                fetched.predictor, fetched.digest, trueup.__version__, report, step, inertia
+            )
+            left: Sequence[Left] = export(asked, target, to)
+        elif to.suffix in WRITERS:
+            left = WRITERS[to.suffix](fetched, to, mjcf)
+        else:
             raise NotExportable(
                 f"{to.name} is of no form that is known",
-                hint=f"End the file's name with {' or '.join(WRITERS)}.",
+                hint=f"End the file's name with {' or '.join(WRITERS)}, or name a --target.",
             )
-        left = WRITERS[to.suffix](fetched, to, mjcf)
     if as_json_:
         as_json(
             {
@@ -58,6 +87,14 @@ def convert(model: Path, to: Path, *, mjcf: Path | None = None, as_json_: Json =
     say("{}: {}, artifact {}", to, fetched.plant.name, fetched.digest[:12])
     for x in left:
         say("not expressed: {}", x)
+
+
+def _read(folder: Path) -> tuple[Model, dict[str, Any] | None]:
+    """Returns the model in a folder, and the report of its diagnosis if that is one's folder."""
+    report = folder / REPORT_FILE
+    if (folder / MODEL_FOLDER).is_dir() and report.is_file():
+        return load(folder / MODEL_FOLDER), json.loads(report.read_bytes())
+    return load(folder), None
 
 
 def _onnx(model: Model, to: Path, _: Path | None) -> Sequence[Left]:

@@ -87,7 +87,11 @@ _COMMANDS = {
         VERIFIES,
     ),
     "fetch": ("serving:fetch", "Fetch a model and verify every byte.", VERIFIES),
-    "convert": ("convert:convert", "Write a fetched model as ONNX or MJCF.", LOCAL),
+    "convert": (
+        "convert:convert",
+        "Write a model for Isaac Lab, mjlab or ros2_control, or as ONNX or MJCF.",
+        LOCAL,
+    ),
     "mlflow": (
         "mlflow:app",
         "Export versions to an MLflow registry, or import them from one.",

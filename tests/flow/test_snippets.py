@@ -18,7 +18,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from tests.support import forks
+from tests.support import forks, recorded
 from tests.support.case import write_recordings
 from tests.support.robots import ARM
 from tests.support.service import ADMIN, ROOT, Service
@@ -31,6 +31,7 @@ from trueup.model.mjcf import resolved
 from trueup.model.plant import Plant
 from trueup.model.predictor import Nominal
 from trueup.randomise.randomisation import Randomisation
+from trueup.recording.mapping import read_mapping
 from trueup_cli.main import app
 from trueup_client import Client
 
@@ -104,6 +105,7 @@ def test_every_snippet_is_of_a_kind_that_is_tested():
         "continual.md",
         "gates.md",
         "randomisation.md",
+        "recordings.md",
         "robots.md",
     }
 
@@ -170,7 +172,10 @@ def healthy_runs(folder):
 
 
 def can_run(words):
-    return words[0] == "trueup" and words[1] not in LONG | WATCHED | {"keygen"}
+    of_a_long_one = words[1:3] == ["convert", "diagnosis"]
+    return (
+        words[0] == "trueup" and words[1] not in LONG | WATCHED | {"keygen"} and not of_a_long_one
+    )
 
 
 def test_readmes_commands_do_in_their_order_what_they_say(world):
@@ -218,6 +223,11 @@ def watched_once(client, *arguments, **more):
 WATCH = Client.watch
 
 
+def as_table(run):
+    """A run as the columns that a page names."""
+    return {"time_s": run.t_s, "pos": run.q, "vel": run.v, "torque": run.u}
+
+
 @of_page([page for page in PAGES if snippets(page, "python") and page.name not in RUN_WHOLE])
 def test_python_of_a_page_runs(world, page, monkeypatch):
     monkeypatch.chdir(world.folder)
@@ -233,6 +243,7 @@ def test_python_of_a_page_runs(world, page, monkeypatch):
         "predictor": Nominal(plant),
     }
     known |= {"u": np.zeros(1), "x": np.zeros(2)}
+    known |= {f"run{seed}": as_table(recorded.simulated(600, seed)) for seed in (1, 2, 3)}
     with contextlib.ExitStack() as closing:
         for text in snippets(page, "python"):
             here = text.replace("http://127.0.0.1:8321", world.service.url).replace(
@@ -257,6 +268,11 @@ def test_the_policy_of_a_page_is_one(world, tmp_path):
 def test_the_gate_of_a_page_is_one():
     (text,) = snippets(ROOT / "docs" / "gates.md", "json")
     assert len(Gate.from_document(json.loads(text)).rules) == 3
+
+
+def test_the_mapping_of_a_page_is_one():
+    (text,) = snippets(ROOT / "docs" / "recordings.md", "json")
+    assert [s.signal for s in read_mapping(text).sources] == ["pos [deg]", "vel [deg/s]", "cmd_nm"]
 
 
 def test_the_family_of_a_page_is_one():

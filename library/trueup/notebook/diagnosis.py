@@ -11,12 +11,14 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from trueup import __version__
 from trueup.artifact.artifact import Artifact, pack
 from trueup.artifact.model import Model, save
 from trueup.canonical import Json
 from trueup.diagnose import diagnosis as engine
 from trueup.diagnose.figures import figures
 from trueup.diagnose.summary_text import composition, sentence, warnings
+from trueup.export.targets import Asked, export
 from trueup.notebook.case import Case
 from trueup.notebook.html import diagnosis_html
 
@@ -169,6 +171,25 @@ class Diagnosis:
         from trueup.notebook.plots import Plots  # noqa: PLC0415  (matplotlib is optional)
 
         return Plots(self)
+
+    def export(
+        self,
+        to: str | PathLike[str],
+        target: str,
+        *,
+        step_s: float | None = None,
+        inertia: float | None = None,
+    ) -> tuple[str, ...]:
+        """Write the corrected model for another program, with the intervals of its numbers.
+
+        `target` is isaaclab, mjlab, ros2_control or randomisation; `step_s` [s] the physics step of
+        the target, `inertia` [kg m^2, or kg] that of a single joint. Returns in words what the
+        target cannot hold. Raises NotExportable.
+        """
+        asked = Asked(
+            self.engine.predictor, self.artifact.digest, __version__, self.report, step_s, inertia
+        )
+        return tuple(map(str, export(asked, target, Path(to))))
 
     def save(self, folder: str | PathLike[str]) -> Path:
         """Write report.json and the corrected model to a folder, as `trueup diagnose` does."""

@@ -21,11 +21,11 @@ def diagnosis_html(report: Mapping[str, Any], figures: Mapping[str, Any]) -> str
     maps = "".join(
         _map(of_channel, layer) for of_channel in figures["maps"][:2] for layer in LAYERS
     )
-    told = "".join(f"<li>{escape(w)}</li>" for w in warnings(report))
+    remark = "".join(f"<li>{escape(w)}</li>" for w in warnings(report))
     return (
         "<div class='trueup' style='max-width:60em'>"
         f"<p><strong>{escape(sentence(report))}</strong></p>"
-        + (f"<ul>{told}</ul>" if told else "")
+        + (f"<ul>{remark}</ul>" if remark else "")
         + f"<div style='display:flex;flex-wrap:wrap;gap:1em'>{maps}</div>"
         + _ranking(report)
         + "</div>"
@@ -54,7 +54,7 @@ def _words(hypothesis: Mapping[str, Any]) -> str:
 def _standing(hypothesis: Mapping[str, Any]) -> str:
     if hypothesis.get("answer"):
         return "the answer"
-    return "cannot be told from it" if hypothesis.get("in_set") else ""
+    return "cannot be remark from it" if hypothesis.get("in_set") else ""
 
 
 def _map(channel: Mapping[str, Any], layer: str) -> str:

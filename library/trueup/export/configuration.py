@@ -1,0 +1,131 @@
+"""Configuration: what a simulator's file says of each joint, and the text that it becomes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from trueup.export.joint_drive import Drives, Ranged
+
+DIGITS = 6  # of a number in a file
+WIDTH = 96
+
+Value = Ranged | float | int | list[str] | tuple[str, ...] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """The configuration of one joint: a class of the simulator, its arguments in their order, and
+    the command that the action is made of: force or position = scale x command + offset."""
+
+    joint: str
+    kind: str
+    arguments: Mapping[str, Value]
+    scale: float
+    offset: float
+
+
+def heading(drives: Drives, version: str, more: Sequence[str]) -> list[str]:
+    """Where a file comes from, and what is not certain, in lines."""
+    lines = [f"{drives.plant.name}, artifact {drives.digest}, written by trueup {version}."]
+    if drives.answer:
+        lines += ["", *_wrapped(drives.answer)]
+    for other in drives.alternatives:
+        lines += ["", *_wrapped(f"The recordings cannot tell this from: {other}.")]
+    if drives.inertia is not None:
+        lines += ["", *_wrapped(f"Forces are for an inertia of {drives.inertia:g}.")]
+    elif drives.is_of_a_family:
+        unit = "Forces are per unit of inertia: give the joint's with --inertia, or multiply them."
+        lines += ["", *_wrapped(unit)]
+    if drives.gravity:
+        lines += [
+            "",
+            *_wrapped(
+                f"The asset must hold the pendulum's gravity: {number(drives.gravity)} at a right "
+                "angle."
+            ),
+        ]
+    for note in more:
+        lines += ["", *_wrapped(note)]
+    for left in drives.left:
+        lines += ["", *_wrapped(f"Not expressed: {left}.")]
+    return lines
+
+
+def _wrapped(text: str) -> list[str]:
+    lines, line = [], ""
+    for word in text.split():
+        if line and len(line) + len(word) >= WIDTH:
+            lines.append(line)
+            line = word
+        else:
+            line = f"{line} {word}".strip()
+    return [*lines, line]
+
+
+def number(value: float) -> str:
+    """A number in Python and in YAML."""
+    if value in (float("inf"), float("-inf")):
+        return 'float("inf")'
+    text = f"{value:.{DIGITS}g}"
+    return text if any(c in text for c in ".en") else f"{text}.0"
+
+
+def interval(value: Value) -> str:
+    """The 95 % interval of a number in words, `` where it has none."""
+    if not isinstance(value, Ranged) or value.is_certain:
+        return ""
+    return f"95 %: {number(value.low)} to {number(value.high)}"
+
+
+def literal(value: Value) -> str:
+    """A value as Python."""
+    if isinstance(value, Ranged):
+        return number(value.value)
+    if isinstance(value, float):
+        return number(value)
+    if isinstance(value, tuple):
+        return f"({json.dumps(list(value))[1:-1]},)"
+    return "None" if value is None else json.dumps(value)
+
+
+def as_python(name: str, entries: Sequence[Entry]) -> Iterator[str]:
+    """A dict of entries by joint, as lines of Python."""
+    yield f"{name} = {{"
+    for entry in entries:
+        yield f"    {json.dumps(entry.joint)}: {entry.kind}("
+        for argument, value in entry.arguments.items():
+            remark = interval(value)
+            yield f"        {argument}={literal(value)}," + (f"  # {remark}" if remark else "")
+        yield "    ),"
+    yield "}"
+
+
+def actions(entries: Sequence[Entry]) -> Iterator[str]:
+    """What the action of each joint is made of, as lines of Python."""
+    yield "ACTIONS = {"
+    for entry in entries:
+        numbers = f'"scale": {number(entry.scale)}, "offset": {number(entry.offset)}'
+        yield f"    {json.dumps(entry.joint)}: {{{numbers}}},"
+    yield "}"
+
+
+def as_yaml(name: str, entries: Sequence[Entry]) -> Iterator[str]:
+    """Entries by joint, as lines of YAML."""
+    yield f"{name}:"
+    for entry in entries:
+        yield f"  {entry.joint}:"
+        yield f"    class: {entry.kind}"
+        for argument, value in entry.arguments.items():
+            remark = interval(value)
+            text = _yaml(value)
+            yield f"    {argument}: {text}" + (f"  # {remark}" if remark else "")
+
+
+def _yaml(value: Value) -> str:
+    if isinstance(value, Ranged):
+        value = value.value
+    if isinstance(value, float):
+        return ".inf" if value == float("inf") else number(value)
+    return json.dumps(value)

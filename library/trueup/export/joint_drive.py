@@ -1,0 +1,299 @@
+"""Joint drives: of each joint of a corrected model what an actuator's configuration asks for, with
+95 % intervals, and what no configuration can hold.
+
+A family is one joint per unit of inertia: its numbers become forces by the inertia that a user
+gives, 1 where nobody does. A robot's are forces already. The interval of a number that several
+unknown ones make is that of independent errors, to first order.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import singledispatch
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueup.collect.ensemble import Ensemble
+from trueup.diagnose.summary_text import composition, sentence
+from trueup.episode.layout import Field
+from trueup.errors import NotExportable
+from trueup.model.block import joint, kind
+from trueup.model.corrected import Corrected
+from trueup.model.dynamics import CompiledFamily, CompiledTree, Dynamics
+from trueup.model.effect import effects
+from trueup.model.mjcf_patch import Left
+from trueup.model.plant import Plant
+from trueup.model.predictor import Physical, Predictor
+from trueup.model.tree import (
+    ARMATURE,
+    DAMPING,
+    FRICTION,
+    GAIN,
+    JOINT,
+    LIMIT,
+    LINK,
+    NO_LIMIT,
+    OFFSET,
+    SERVO,
+    STIFFNESS,
+)
+
+Array = NDArray[np.float64]
+TWO_SIDED = 1.96  # standard deviations of a 95 % interval
+NUDGE = 0.5  # standard deviations to either side, for derivatives
+# What a drive holds, in newton metres or newtons, seconds, and the joint's own unit.
+NUMBERS = (
+    "gain",  # force for a unit of the command
+    "servo",  # position gain of the servo, 0 of a motor
+    "damping",  # viscous, of the joint and the servo together
+    "armature",
+    "spring",  # passive
+    "friction",  # dry, in motion
+    "breakaway",  # dry, at rest
+    "limit",  # of the drive's force, inf where none is known
+    "delay",
+    "lag",
+    "offset",  # constant force of the drive
+)
+# of which numbers an effect is a part, for drives that hold all of it
+HELD = ("coulomb_friction", "stribeck_friction", "saturation", "actuator_delay", "constant_force")
+
+
+@dataclass(frozen=True, slots=True)
+class Ranged:
+    """A number with its 95 % interval, which has no width where none is known."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether it has no width."""
+        return self.low == self.high
+
+
+@dataclass(frozen=True, slots=True)
+class JointDrive:
+    """The drive of one joint: NUMBERS by name, and whether it is commanded by positions. `joint` is
+    None where the plant does not name it."""
+
+    joint: str
+    commands_position: bool
+    numbers: Mapping[str, Ranged]
+
+    def __getitem__(self, name: str) -> Ranged:
+        return self.numbers[name]
+
+
+@dataclass(frozen=True)
+class Drives:
+    """The drives of a corrected model, with where they come from: the plant, the artifact's digest,
+    the diagnosis's sentence, the explanations that it could not tell from its answer, what no drive
+    holds, the inertia that forces were multiplied by, and the largest torque of gravity on a
+    pendulum, 0 of what is none."""
+
+    plant: Plant
+    digest: str
+    answer: str | None
+    alternatives: tuple[str, ...]
+    drives: tuple[JointDrive, ...]
+    left: tuple[Left, ...]
+    inertia: float | None
+    gravity: float = 0.0
+
+    @property
+    def is_of_a_family(self) -> bool:
+        """Whether forces are per unit of inertia, where no inertia was given."""
+        return isinstance(self.plant.dynamics, CompiledFamily)
+
+
+def drives_of(
+    predictor: Predictor,
+    digest: str,
+    report: Mapping[str, Any] | None = None,
+    inertia: float | None = None,
+) -> Drives:
+    """The drives of a predictor; with the report of its diagnosis, their intervals. `inertia`
+    [kg m^2, or kg] is that of the one joint of a family. Raises NotExportable."""
+    if isinstance(predictor, Physical):
+        predictor = Corrected.of_numbers(predictor.plant, predictor.parameters)
+    if not isinstance(predictor, Corrected):
+        raise NotExportable(
+            f"a predictor of the kind {predictor.kind!r} is no machine with drives",
+            hint="Export a version that a diagnosis or an identification made.",
+        )
+    plant = predictor.plant
+    reader = _reader(plant.dynamics, plant, inertia)
+    centre = np.array(predictor.values, float)
+    numbers = _numbers(reader, predictor, centre)
+    variance = {key: np.zeros(len(NUMBERS)) for key in numbers}
+    if report is not None:
+        known = Ensemble.posterior(predictor, report)
+        for row, spread in zip(known.rows, known.spread, strict=True):
+            ahead, behind = centre.copy(), centre.copy()
+            ahead[row] += NUDGE * spread
+            behind[row] -= NUDGE * spread
+            up, down = (_numbers(reader, predictor, v) for v in (ahead, behind))
+            for key in numbers:
+                known_both = np.isfinite(up[key]) & np.isfinite(down[key])
+                step = np.where(known_both, up[key], 0.0) - np.where(known_both, down[key], 0.0)
+                variance[key] += (step / (2.0 * NUDGE)) ** 2
+    return Drives(
+        plant,
+        digest,
+        None if report is None else sentence(report),
+        ()
+        if report is None
+        else tuple(composition(other) for other in report["indistinguishable"]),
+        tuple(_drive(plant, j, numbers[j], np.sqrt(variance[j])) for j in numbers),
+        tuple(_left(predictor)),
+        inertia,
+        (inertia or 1.0) * float(centre[0]) if plant.family == "pendulum" else 0.0,
+    )
+
+
+def _drive(plant: Plant, j: int, numbers: Array, spread: Array) -> JointDrive:
+    command = plant.layout.commands[int(plant.command_columns[j])]
+    ranged = {}
+    for name, value, deviation in zip(NUMBERS, numbers, spread, strict=True):
+        low, high = value - TWO_SIDED * deviation, value + TWO_SIDED * deviation
+        if value >= 0.0:  # no size changes its sign
+            low = max(low, 0.0)
+        ranged[name] = Ranged(float(value), float(low), float(high))
+    return JointDrive(plant.joint_name(j), command.field is Field.POSITION, ranged)
+
+
+class _Reader(ABC):
+    """Reads a joint's numbers off the values of a model."""
+
+    @abstractmethod
+    def numbers(self, values: Array, j: int) -> dict[str, float]:
+        """What a joint's form has of NUMBERS."""
+
+    @abstractmethod
+    def size(self, j: int) -> float:
+        """The inertia that the forces of effects are multiplied by."""
+
+
+@singledispatch
+def _reader(dynamics: Dynamics, plant: Plant, inertia: float | None) -> _Reader:
+    raise TypeError(type(dynamics).__name__)
+
+
+@_reader.register
+def _of_family(_: CompiledFamily, plant: Plant, inertia: float | None) -> _Reader:
+    return _Family(plant, 1.0 if inertia is None else inertia)
+
+
+@_reader.register
+def _of_tree(dynamics: CompiledTree, plant: Plant, inertia: float | None) -> _Reader:
+    if inertia is not None:
+        raise NotExportable(
+            "a robot's inertias are those of its model",
+            hint="Leave --inertia out: it is for one joint of a family.",
+        )
+    return _Robot(dynamics)
+
+
+class _Family(_Reader):
+    def __init__(self, plant: Plant, inertia: float) -> None:
+        self._names, self._inertia = plant.dynamics.parameter_names, inertia
+        self._is_servo = plant.layout.commands[0].field is Field.POSITION
+        self._family = plant.family
+
+    def numbers(self, values: Array, j: int) -> dict[str, float]:
+        given = dict(zip(self._names, values, strict=False))
+        gain, damping = self._inertia * given["b"], self._inertia * given["c"]
+        spring = self._inertia * given.get("k", 0.0) if self._family == "oscillator" else 0.0
+        servo = min(gain, spring) if self._is_servo else 0.0  # the spring that the drive itself is
+        return {"gain": gain, "damping": damping, "servo": servo, "spring": spring - servo}
+
+    def size(self, j: int) -> float:
+        return self._inertia
+
+
+class _Robot(_Reader):
+    def __init__(self, dynamics: CompiledTree) -> None:
+        self._tree, self._sizes = dynamics.tree, dynamics.form.sizes
+
+    def numbers(self, values: Array, j: int) -> dict[str, float]:
+        first = LINK * len(self._tree.joints) + JOINT * j
+        row, constants = values[first : first + JOINT], self._tree.constants[j]
+        limit = float(constants[LIMIT])
+        return {
+            "gain": float(row[GAIN]),
+            "servo": float(row[SERVO]),
+            "damping": float(row[DAMPING]),
+            "armature": float(row[ARMATURE]),
+            "spring": float(row[STIFFNESS]),
+            "friction": float(row[FRICTION]),
+            "breakaway": float(row[FRICTION]),
+            "offset": float(constants[OFFSET]),
+            **({"limit": limit} if limit < NO_LIMIT else {}),
+        }
+
+    def size(self, j: int) -> float:
+        return float(self._sizes[j])
+
+
+def _numbers(reader: _Reader, model: Corrected, values: Array) -> dict[int, Array]:
+    """NUMBERS of each commanded joint."""
+    plant = model.plant
+    commanded = [j for j in range(len(plant.joints)) if plant.command_columns[j] >= 0]
+    own = {j: {"limit": np.inf, **reader.numbers(values, j)} for j in commanded}
+    for term in model.hypothesis.effects:
+        j = joint(term)
+        if j in own:
+            rows = plant.block.rows_of(term)
+            _add(
+                kind(term).name,
+                {name: float(values[row]) for name, row in rows.items()},
+                reader.size(j),
+                own[j],
+            )
+    return {j: np.array([of.get(name, 0.0) for name in NUMBERS]) for j, of in own.items()}
+
+
+def _add(effect: str, values: Mapping[str, float], size: float, into: dict[str, float]) -> None:
+    """Add an effect's numbers to a joint's."""
+    if effect in ("coulomb_friction", "stribeck_friction"):
+        level, extra = size * values["level"], size * values.get("extra", 0.0)
+        into["friction"] = into.get("friction", 0.0) + level
+        into["breakaway"] = into.get("breakaway", 0.0) + level + extra
+    elif effect == "saturation":
+        into["limit"] = abs(into["servo"] or into["gain"]) * values["limit"]
+    elif effect == "actuator_delay":
+        into["delay"] = values["delay"]
+    elif effect == "actuator_lag":
+        into["lag"] = values["time_constant"]
+    elif effect == "constant_force":
+        into["offset"] = into.get("offset", 0.0) + size * values["level"]
+
+
+INSTEAD = {
+    "actuator_lag": "filter the command: u' += (u - u') dt / (tau + dt), tau the time constant",
+    "stribeck_friction": "friction and breakaway are held; how fast one becomes the other is not",
+}
+
+
+def _left(model: Corrected) -> list[Left]:
+    """What no actuator's configuration holds, and what to write instead."""
+    left = []
+    for term in model.hypothesis.effects:
+        name = kind(term).name
+        if name not in HELD or name in INSTEAD:
+            equation = _equation(effects()[name].__doc__ or "")
+            instead = INSTEAD.get(name, f"write it into the step of the simulation: {equation}")
+            left.append(Left(name, model.plant.joint_name(joint(term)), instead))
+    return left
+
+
+def _equation(text: str) -> str:
+    """The equation that an effect's docstring gives."""
+    after = text.partition("Equation:")[2].partition("Source:")[0]
+    return " ".join(after.split())
