@@ -14,6 +14,23 @@ itself, compiled into the rollout, tried by the search, and held to the laws in
 
 Signals: `u` command, `q` position, `v` velocity, `a` acceleration of the nominal form, `h` step.
 Within a port the effects act in the order given.
+
+## An effect of your own
+
+An effect that the catalogue does not have is one file as well, wherever it lies:
+[`examples/own-effect/magnetic_saturation.py`](../examples/own-effect/magnetic_saturation.py) is
+one. It takes part in every search beside the others.
+
+- In Python, `trueup.load_effect("magnetic_saturation.py")` first of all: effects are compiled
+  together, so it comes before any case or model.
+- For the command, `TRUEUP_EFFECTS` names files, as `PATH` does folders.
+- A package brings effects by entry points of the group `trueup.effects`, each of which names a
+  class. This is the way for servers and workers.
+
+`trueup effects FILE --laws` checks it by the laws that every effect obeys: it vanishes at its null
+bit for bit, every number of it matters, compiled and uncompiled it gives the same, it looks only
+back, a simulated value is found again. Its model names the file by its SHA-256, and loads only
+where that very file is at hand. The first rollout with a new set of effects compiles them, once.
 """
 TITLES = {
     Port.TIMING: "Timing",

@@ -184,6 +184,11 @@ _COMMANDS = {
         "Show what the recordings of a case can show, before anything is sought.",
         LOCAL,
     ),
+    "effects": (
+        "effects:effects",
+        "List the effects that a search tries, and check one of your own by the laws.",
+        LOCAL,
+    ),
     "chapter": (
         "chapter:chapter",
         "Reproduce the chapter's figures, beside the published digits.",
@@ -201,10 +206,20 @@ for _name, (_target, _help, _codes) in _COMMANDS.items():
     )
 
 
+def _load_own_effects() -> None:
+    """Loads the files that TRUEUP_EFFECTS names, before any effect is compiled."""
+    from trueup.model.effect import load_effect
+
+    for file in filter(None, os.environ["TRUEUP_EFFECTS"].split(os.pathsep)):
+        load_effect(file)
+
+
 def main() -> None:
     """Runs a command, and exits with one of the codes in `trueup_cli.exits`."""
     try:
         try:
+            if os.environ.get("TRUEUP_EFFECTS"):
+                _load_own_effects()
             app()
         finally:
             sys.stdout.flush()

@@ -151,8 +151,9 @@ def _recordings(path: Path) -> list[Path]:
     format, which do not say what they are for."""
     files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
     if not files or any(format_of(file).name != "mcap" for file in files):
+        what = f"{path} holds no *.mcap" if not files else f"{path.name} is no MCAP file"
         raise NotAnEpisode(
-            f"{path} does not say what it was recorded for",
+            f"{what}, and other recordings do not say what they are for",
             rule="role",
             hint=f"Give --role, one of {', '.join(Role)}.",
         )

@@ -11,12 +11,17 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from trueup.artifact.model import Model, load
+    from trueup.model.effect import load_effect
     from trueup.notebook.case import Case
+    from trueup.notebook.compare import Comparison, compare
     from trueup.notebook.diagnosis import Diagnosis, diagnose
     from trueup.notebook.models import FirstModel, Inertia, Oscillator, Pendulum, Robot
+    from trueup.notebook.trials import BlindTrial, blind_trial
 
 __all__ = [
+    "BlindTrial",
     "Case",
+    "Comparison",
     "Diagnosis",
     "FirstModel",
     "Inertia",
@@ -24,15 +29,23 @@ __all__ = [
     "Oscillator",
     "Pendulum",
     "Robot",
+    "blind_trial",
+    "compare",
     "diagnose",
     "load",
+    "load_effect",
 ]
 __version__ = "0.1.0"
 
 _MODULES = {
     "Model": "trueup.artifact.model",
     "load": "trueup.artifact.model",
+    "load_effect": "trueup.model.effect",
+    "BlindTrial": "trueup.notebook.trials",
     "Case": "trueup.notebook.case",
+    "Comparison": "trueup.notebook.compare",
+    "blind_trial": "trueup.notebook.trials",
+    "compare": "trueup.notebook.compare",
     "Diagnosis": "trueup.notebook.diagnosis",
     "diagnose": "trueup.notebook.diagnosis",
     "FirstModel": "trueup.notebook.models",

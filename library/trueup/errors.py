@@ -8,6 +8,7 @@
     │   └── NotAnEpisode         a sound file, but not what an episode must hold
     ├── BadPlant                 plant.json breaks a rule, at a field
     ├── BadMapping               a mapping of signals to channels breaks a rule, at a field
+    ├── BadEffect                an effect from outside breaks a rule, or is not at hand
     ├── BadRandomisation         a family of plants breaks a rule, at a field
     ├── NotInstalled             an optional part of the installation is needed
     ├── NotExportable            this model has no form in what was asked for
@@ -112,6 +113,13 @@ class BadMapping(TrueupError):
 
     code = "bad-mapping"
     hint = "Correct the field named in `field`; docs/recordings.md shows a mapping."
+
+
+class BadEffect(TrueupError):
+    """The effect cannot take part."""
+
+    code = "bad-effect"
+    hint = "docs/effects.md shows an effect of your own; `trueup effects --laws` checks it."
 
 
 class BadRandomisation(TrueupError):

@@ -1,61 +1,22 @@
-"""Conduct a blind trial: draw, commit, diagnose in isolated processes, open.
-
-specification  what is hidden, drawn by a secret that exists in this process alone
-recordings     case folders on disk, searched for what is hidden: nothing in them may spell it
-commitment     published before the first diagnosis
-diagnosis      in isolated processes that are given a folder and nothing else
-opening        labels, salts and the secret, so that anybody can compare them with the commitments,
-               or draw it all again
-"""
+"""Conduct a blind trial with isolated processes, which hold no label."""
 
 from __future__ import annotations
 
 import os
 import tempfile
-from base64 import b64decode
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from queue import SimpleQueue
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-import trueup
-from trueup.artifact.artifact import Artifact, unpack
-from trueup.blindtrial.commitment import commitment, require_no_leak, salt_of
-from trueup.blindtrial.recording import case_files, conditions_of, held_out_episodes
-from trueup.blindtrial.scoring import (
-    Answer,
-    answer_words,
-    score_answer,
-    score_intervals,
-    summarise,
-)
-from trueup.blindtrial.specification import (
-    absorbed_effects,
-    draw_specifications,
-    draw_trial,
-    label_of,
-)
-from trueup.blindtrial.trial_plant import TrialPlant, trial_plant
-from trueup.canonical import Json, digest_of_bytes
-from trueup.diagnose.measure import closed_on
+from trueup.blindtrial.conduct import Diagnose, Progress, Secret
+from trueup.blindtrial.conduct import conduct as conduct_with
 from trueup.episode.episode import Episode
 from trueup.errors import TrueupError
 from trueup.model.plant import Plant
-from trueup.simulate.trial import Bench
 from trueup_worker.isolated_process import NO_ANSWER, IsolatedProcess
 
-SCHEMA = "trueup.blindtrial/1"
 SECRET_BYTES = 32
-DRAWING = 0.2  # share of the trial's time
-
-Diagnose = Callable[[Path], Mapping[str, Any]]
-Progress = Callable[[str, float], None]
 
 
 class NoIsolatedProcess(TrueupError):
@@ -66,18 +27,6 @@ class NoIsolatedProcess(TrueupError):
         "Install trueup into the environment that runs it: the processes are started "
         "without any other path."
     )
-
-
-@dataclass(frozen=True)
-class CommittedTrial:
-    """One trial before it is opened; its folder is all that a diagnosing process is given."""
-
-    folder: Path
-    label: Mapping[str, Json]
-    salt: str
-    commitment: str
-    held_out: Sequence[Episode]
-    sigma: NDArray[np.float64]
 
 
 def conduct(
@@ -93,125 +42,28 @@ def conduct(
     """Returns the report of `count` trials like a user's plant and episodes.
 
     With the `secret` of an opened trial it draws that trial again; without one it draws a new
-    secret. `commit` is called with
-    the commitments before the first diagnosis. Cases are diagnosed by `processes`, or else by one
-    isolated process for each core. `keep` is a folder for the cases, made when the first is
-    written; without one they are removed. Raises NotIdentifiable, LabelLeaked, NoIsolatedProcess.
+    secret. `commit` is called with the commitments before the first diagnosis. Cases are diagnosed
+    by `processes`, or else by one isolated process for each core. `keep` is a folder for the cases,
+    made when the first is written; without one they are removed. Raises NotIdentifiable,
+    LabelLeaked, NoIsolatedProcess.
     """
-    source, own_secret = trial_plant(plant), secret or os.urandom(SECRET_BYTES)
-    bench = source.bench(episodes)
-    with tempfile.TemporaryDirectory(prefix="blind-") as temporary:
-        committed = []
-        for trial in _draw(
-            source, bench, conditions_of(episodes), count, own_secret, keep or Path(temporary)
-        ):
-            committed.append(trial)
-            progress("drawing machines and recording them", DRAWING * len(committed) / count)
-        commit([c.commitment for c in committed])
-        responses = []
-        for response in _diagnose_all([c.folder for c in committed], processes):
-            responses.append(response)
-            progress("diagnosing", DRAWING + (1.0 - DRAWING) * len(responses) / count)
-    if all(str(r.get("problem", "")).startswith(NO_ANSWER) for r in responses):
-        raise NoIsolatedProcess(
-            "no diagnosing process ever answered: " + str(responses[0]["problem"])
+    drawn = Secret(secret or os.urandom(SECRET_BYTES), secret is not None)
+    with tempfile.TemporaryDirectory(prefix="blind-") as temporary, ExitStack() as stack:
+        diagnosers = processes or [stack.enter_context(IsolatedProcess(core)) for core in _cores()]
+        document = conduct_with(
+            plant,
+            episodes,
+            count,
+            drawn,
+            commit,
+            progress,
+            diagnosers,
+            keep or Path(temporary),
         )
-    answers = [Answer(r.get("report"), r.get("problem"), float(r["seconds"])) for r in responses]
-    rows = [
-        _row(i, *parts) for i, parts in enumerate(zip(committed, responses, answers, strict=True))
-    ]
-    return {
-        "schema": SCHEMA,
-        "plant": plant.name,
-        "trials": count,
-        **summarise(rows, answers),
-        "rows": list(rows),
-        "bench": _bench_document(source, bench, episodes),
-        "opening": {"secret": own_secret.hex(), "redrawn": secret is not None},
-        "version": trueup.__version__,
-    }
-
-
-def _bench_document(
-    source: TrialPlant, bench: Bench, episodes: Sequence[Episode]
-) -> dict[str, Json]:
-    """Returns how the machines were simulated, for the report."""
-    return {
-        "episodes": [
-            {"sha256": e.digest, "role": str(e.role)}
-            for e in sorted(episodes, key=lambda e: e.digest)
-        ],
-        "period_s": bench.timestep_s,
-        "fine_step_s": bench.timestep_s / bench.parts,
-        "sigma": [float(x) for x in bench.sigma] if bench.sigma is not None else [],
-        "feedback": {k: np.ravel(v).tolist() for k, v in asdict(bench.feedback).items()}
-        if bench.feedback
-        else None,
-        "robot": bench.robot,
-        "left_out": absorbed_effects(source),
-    }
-
-
-def _draw(
-    source: TrialPlant,
-    bench: Bench,
-    conditions: Mapping[str, str],
-    count: int,
-    secret: bytes,
-    where: Path,
-) -> Iterator[CommittedTrial]:
-    """Draws machines, records them into folders under `where`, and commits their labels.
-
-    Raises LabelLeaked.
-    """
-    plant = source.plant
-    rng = np.random.default_rng(int.from_bytes(bytes.fromhex(digest_of_bytes(secret + b"/lots"))))
-    own: Json = [dict(plant.document), dict(conditions)]
-    for i, specification in enumerate(draw_specifications(source, count, rng)):
-        trial = draw_trial(source, bench, specification, rng)
-        label, salt = label_of(plant, specification, trial), salt_of(secret, i)
-        files = case_files(plant, trial, conditions)
-        require_no_leak(files, label, salt, own)
-        folder = where / f"{i:04d}"
-        folder.mkdir(parents=True)
-        for name, data in files.items():
-            (folder / name).write_bytes(data)
-            os.utime(folder / name, (0, 0))  # the time that drawing took might reveal the machine
-        os.utime(folder, (0, 0))
-        yield CommittedTrial(
-            folder,
-            label,
-            salt,
-            commitment(label, salt),
-            held_out_episodes(plant, trial),
-            trial.sigma,
-        )
-
-
-def _diagnose_all(
-    folders: Sequence[Path], processes: Sequence[Diagnose] | None
-) -> Iterator[Mapping[str, Any]]:
-    """Yields every folder's response, in order.
-
-    Asks `processes`, or else one isolated process for each core.
-    """
-    with ExitStack() as stack:
-        workers: Sequence[Diagnose] = processes or [
-            stack.enter_context(IsolatedProcess(core)) for core in _cores()
-        ]
-        free: SimpleQueue[Diagnose] = SimpleQueue()
-        for worker in workers:
-            free.put(worker)
-
-        def ask(folder: Path) -> Mapping[str, Any]:
-            worker = free.get()
-            try:
-                return worker(folder)
-            finally:
-                free.put(worker)
-
-        with ThreadPoolExecutor(len(workers)) as pool:
-            yield from pool.map(ask, folders)
+    problems = [str(row["problem"]) for row in document["rows"]]
+    if all(problem.startswith(NO_ANSWER) for problem in problems):
+        raise NoIsolatedProcess(f"no diagnosing process ever answered: {problems[0]}")
+    return document
 
 
 def _cores() -> list[int]:
@@ -220,30 +72,3 @@ def _cores() -> list[int]:
         if hasattr(os, "sched_getaffinity")
         else list(range(os.cpu_count() or 1))
     )
-
-
-def _row(
-    index: int, committed: CommittedTrial, response: Mapping[str, Any], answer: Answer
-) -> dict[str, Json]:
-    """Returns one opened trial, as a row of the report."""
-    closed = None
-    if "manifest" in response:
-        model = Artifact(response["manifest"].encode(), b64decode(response["arrays"]))
-        closed = closed_on(unpack(model), committed.held_out, committed.sigma)
-    report = answer.report
-    return {
-        "index": index,
-        "label": committed.label,
-        "salt": committed.salt,
-        "commitment": committed.commitment,
-        "verdict": answer.verdict,
-        "problem": answer.problem,
-        "answer": answer_words(answer),
-        "indistinguishable": report["indistinguishable"] if report else [],
-        "closed": closed,
-        "unexplained": report["evidence"]["unexplained"] if report else None,
-        "intervals": score_intervals(committed.label, answer),
-        "reported_closed": report["gap"]["closed"] if report else None,
-        "seconds": answer.seconds,
-        **score_answer(committed.label, answer),
-    }

@@ -12,7 +12,6 @@ import os
 import subprocess
 import sys
 import time
-from base64 import b64encode
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -92,34 +91,16 @@ class IsolatedProcess:
         self._close()
 
 
-def _diagnose(folder: Path) -> Mapping[str, Any]:
-    from trueup.artifact.artifact import pack  # noqa: PLC0415
-    from trueup.diagnose.case import read_case  # noqa: PLC0415
-    from trueup.diagnose.diagnosis import diagnose  # noqa: PLC0415
-    from trueup.errors import TrueupError  # noqa: PLC0415
-
-    began = time.monotonic()
-    try:
-        diagnosis = diagnose(*read_case(folder))
-        model = pack(diagnosis.predictor, {"origin": "diagnosis"})
-    except TrueupError as error:
-        return {"problem": f"{error.code}: {error.message}", "seconds": time.monotonic() - began}
-    except Exception as error:  # noqa: BLE001  (a diagnosis that breaks is one miss)
-        return {
-            "problem": f"failed: {type(error).__name__}: {error}",
-            "seconds": time.monotonic() - began,
-        }
-    packed = {"manifest": model.manifest.decode(), "arrays": b64encode(model.arrays).decode()}
-    return {"report": dict(diagnosis.document), **packed, "seconds": time.monotonic() - began}
-
-
 def main() -> None:
     """Diagnoses folders until the standard input ends."""
+    from trueup.blindtrial.diagnosing import answer_of  # noqa: PLC0415  (loads what a parent need not)
+
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {int(sys.argv[1])})
     answers, sys.stdout = sys.stdout, sys.stderr  # whatever prints must not spoil an answer
     for line in sys.stdin:
-        answers.write(json.dumps(_diagnose(Path(json.loads(line)))) + "\n")
+        answer = answer_of(Path(json.loads(line)), time.monotonic)
+        answers.write(json.dumps(answer) + "\n")
         answers.flush()
 
 

@@ -107,10 +107,11 @@ class PlantCalls(Transport):
         upload: str,
         file: Path,
         progress: Progress,
-        said: Mapping[str, str],
-        media_type: str,
+        said: Mapping[str, str] = {},
+        media_type: str = "application/octet-stream",
     ) -> Episode:
-        """Sends what is missing of a file to an upload's path, then finishes the upload.
+        """Sends what is missing of a file to an upload's path, then finishes the upload with what
+        is said of it.
 
         Raises Unreachable once PART_ATTEMPTS in a row brought nothing further.
         """

@@ -45,7 +45,8 @@ from trueup.episode.records import RecordReader
 from trueup.errors import MalformedMcap, TooLarge
 
 NO_MCAP = (
-    "It is no MCAP file. Record with `ros2 bag record -s mcap`; other logs are converted first."
+    "It is no MCAP file. Of a recording of another format say the role beside it: "
+    "docs/recordings.md."
 )
 # Messages outside chunks are handed on together, once they are this many bytes.
 GATHER_BYTES = 1 << 20

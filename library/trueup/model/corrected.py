@@ -21,7 +21,7 @@ from trueup.canonical import Json
 from trueup.errors import NotExportable
 from trueup.model.block import BLOCK, joint, kind, term
 from trueup.model.dynamics import CompiledFamily, Dynamics
-from trueup.model.effect import Port, effects
+from trueup.model.effect import Port, effects, known_effect, source_of
 from trueup.model.hypothesis import Hypothesis, switches
 from trueup.model.joint_step import Joint
 from trueup.model.plant import Plant
@@ -130,6 +130,7 @@ class Corrected(Predictor):
         acting: list[Json] = [
             {
                 "effect": kind(t).name,
+                **({"source": source} if (source := source_of(kind(t).name)) else {}),
                 "joint": self.plant.joint_name(joint(t)),
                 "parameters": {
                     name: self.values[row] for name, row in self.plant.block.rows_of(t).items()
@@ -164,7 +165,7 @@ class Corrected(Predictor):
         hypothesis = Hypothesis()
         for entry in given["effects"]:
             at = term(
-                entry["effect"],
+                known_effect(entry["effect"], entry.get("source")).name,
                 [plant.joint_name(j) for j in range(len(plant.joints))].index(
                     entry.get("joint", plant.joint_name(0))
                 ),

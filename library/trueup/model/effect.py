@@ -21,15 +21,25 @@ joint. Ports act in this order: timing, command, force and friction, observation
 
 from __future__ import annotations
 
+import hashlib
 import importlib
+import importlib.util
 import inspect
 import pkgutil
+import re
+import sys
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
+from importlib.metadata import entry_points
+from os import PathLike
+from pathlib import Path
 from typing import Any, ClassVar
 
+from trueup.errors import BadEffect
+
+NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 INFINITY = float("inf")
 NULL = float("nan")  # in a start: the number begins at its null
 
@@ -153,17 +163,102 @@ class Effect(ABC):
         return "lag_s" in cls.arguments()
 
 
+ENTRY_POINTS = "trueup.effects"  # the group by which an installed package brings effects
+# of each effect from outside this package the SHA-256 of the file that defines it
+_FROM_OUTSIDE: dict[str, str] = {}
+
+
+def load_effect(file: str | PathLike[str]) -> type[Effect]:
+    """The effect that a file of your own defines, which then takes part in every search as those of
+    the catalogue do.
+
+    It must be loaded before anything is rolled out, for all effects are compiled together. Raises
+    BadEffect.
+    """
+    path = Path(file)
+    if effects.cache_info().currsize:
+        raise BadEffect(
+            f"{path.name} comes too late: the effects are compiled already",
+            hint="Load it first of all, before any case or model.",
+        )
+    spec = importlib.util.spec_from_file_location(f"trueup_effect_{path.stem}", path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise BadEffect(f"{path} is no Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # by which its text is found again
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise BadEffect(f"{path.name} cannot be run: {error!r}") from error
+    own = [e for e in Effect.__subclasses__() if e.__module__ == spec.name]
+    if len(own) != 1:
+        raise BadEffect(f"{path.name} defines {len(own)} effects, one is needed")
+    return _admitted(own[0], path)
+
+
+def _admitted(effect: type[Effect], path: Path) -> type[Effect]:
+    """An effect from outside, once it is seen to be whole. Raises BadEffect."""
+    name = getattr(effect, "name", "")
+    if not NAME.fullmatch(name):
+        raise BadEffect(
+            f"{path.name}: the name of an effect is words in small letters, not {name!r}"
+        )
+    for attribute in ("port", "category", "params", "starts"):
+        if not hasattr(effect, attribute):
+            raise BadEffect(f"{path.name}: the effect {name} declares no {attribute}")
+    text = inspect.getdoc(effect) or ""
+    for word in ("Equation:", "Source:", "Blind:"):
+        if word not in text:
+            raise BadEffect(f"{path.name}: the docstring of {name} has no line {word}")
+    if {len(s) for s in effect.starts} != {len(effect.params)}:
+        raise BadEffect(f"{path.name}: a start of {name} has a value for each of its parameters")
+    if not len(effect.states) == len(effect.begins) == len(effect.memory):
+        raise BadEffect(f"{path.name}: each state of {name} says where it begins, and its scale")
+    if name in _FROM_OUTSIDE:
+        raise BadEffect(f"{path.name}: there is an effect {name} already")
+    _FROM_OUTSIDE[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+    return effect
+
+
+def source_of(effect: str) -> str | None:
+    """The SHA-256 of the file of an effect from outside this package, None of one of its own."""
+    return _FROM_OUTSIDE.get(effect)
+
+
+def known_effect(name: str, source: str | None) -> type[Effect]:
+    """The effect of this name, if it is the one from a file of this SHA-256, or with None one of
+    the catalogue. Raises BadEffect."""
+    effect = effects().get(name)
+    if effect is None or source_of(name) != source:
+        what = f"of a file with the SHA-256 {source}" if source else "of the catalogue"
+        raise BadEffect(
+            f"the model needs the effect {name} {what}, which is not here",
+            hint="Load its file with trueup.load_effect or TRUEUP_EFFECTS, or install what brings "
+            "it.",
+        )
+    return effect
+
+
 @cache
 def effects() -> dict[str, type[Effect]]:
-    """Every effect there is, by name, in the order in which they act."""
+    """Every effect there is, by name, in the order in which they act: those of the catalogue, of
+    installed packages, and of files that were loaded."""
     from trueup.model import effects as package  # noqa: PLC0415  (the files import this module)
 
     for module in pkgutil.iter_modules(package.__path__):
         importlib.import_module(f"{package.__name__}.{module.name}")
+    for entry in entry_points(group=ENTRY_POINTS):
+        effect = entry.load()
+        _admitted(effect, Path(inspect.getfile(effect)))
     ports = list(Port)
-    return {
-        e.name: e
-        for e in sorted(
-            Effect.__subclasses__(), key=lambda e: (ports.index(e.port), e.order, e.name)
-        )
-    }
+    admitted = [
+        e
+        for e in Effect.__subclasses__()
+        if e.__module__.startswith(f"{package.__name__}.") or e.name in _FROM_OUTSIDE
+    ]
+    ordered = sorted(admitted, key=lambda e: (ports.index(e.port), e.order, e.name))
+    by_name = {e.name: e for e in ordered}
+    if len(by_name) < len(ordered):
+        twice = next(e.name for e in ordered if by_name[e.name] is not e)
+        raise BadEffect(f"there is an effect {twice} already", hint="Give yours another name.")
+    return by_name

@@ -212,9 +212,16 @@ def diagnose(case: Case, *, seed: int = 0, progress: bool | Progress = False) ->
     `progress=True` prints each stage; a function gets its words and which part is done, 0 to 1.
     Raises NotIdentifiable where nothing was recorded to fit or to compare on.
     """
-    shown: Progress = _print if progress is True else progress or _nothing
-    of_case = engine.diagnose(case.plant, case.episodes, seed, shown)
+    of_case = engine.diagnose(case.plant, case.episodes, seed, shown(progress))
     return Diagnosis(case, of_case.document, of_case)
+
+
+def shown(progress: bool | Progress) -> Progress:
+    """What is called with each stage and the part that is done: nothing, a printer, or a function
+    of the user's."""
+    if progress is True:
+        return _print
+    return progress or _nothing
 
 
 def _nothing(_stage: str, _part: float) -> None:

@@ -85,7 +85,8 @@ def open_runs(path: Path, limits: Limits = LIMITS, media_type: str | None = None
             raise NotAnEpisode(
                 f"{path} holds no recording of a known format",
                 rule="format",
-                hint="docs/recordings.md lists the formats.",
+                hint="A case is a folder with plant.json and *.mcap; docs/recordings.md lists the "
+                "formats of recordings.",
             )
         return runs
     with of_file(path.name):

@@ -17,7 +17,7 @@ from trueup.episode.layout import Layout
 from trueup.episode.role import Role
 from trueup.errors import BadMapping, NotAnEpisode
 from trueup.recording.archive import unpacked
-from trueup.recording.described import Described
+from trueup.recording.described import MEDIA_TYPES, Described
 from trueup.recording.format import Run, open_runs
 from trueup.recording.guess import guess
 from trueup.recording.mapping import SignalMapping, read_mapping
@@ -31,7 +31,7 @@ def as_episode(
     BadEpisode, BadMapping, NotInstalled."""
     with path.open("rb") as file:
         is_mcap = file.read(len(MAGIC)) == MAGIC
-    if described.is_silent and (is_mcap or described.media_type == "application/mcap"):
+    if described.is_silent and (is_mcap or described.media_type in (None, *MEDIA_TYPES["mcap"])):
         return path
     role = _role(described)
     origin = origin_of(path)

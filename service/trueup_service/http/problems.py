@@ -34,6 +34,7 @@ MEDIA_TYPE = "application/problem+json"
 STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     errors.BadEpisode: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.BadPlant: HTTPStatus.UNPROCESSABLE_ENTITY,
+    errors.BadEffect: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.BadMapping: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.BadRandomisation: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.BadArtifact: HTTPStatus.UNPROCESSABLE_ENTITY,

@@ -13,6 +13,7 @@ import pytest
 from tests.support.robots import ARM, arm_document, arm_plant
 from tests.support.robots import recorded as robot_recorded
 from tests.support.simulated import recorded_twice as recorded
+from trueup.blindtrial import conduct as conducting
 from trueup.blindtrial.commitment import (
     CommitmentMismatch,
     LabelLeaked,
@@ -123,9 +124,9 @@ def test_a_label_changed_after_its_commitment_is_found(conducted):
 def test_the_secret_draws_the_same_trials_again(conducted, tmp_path):
     document, committed, _ = conducted
     plant, episodes = users()
-    source, conditions = trial_plant(plant), blind_trial.conditions_of(episodes)
+    source, conditions = trial_plant(plant), conducting.conditions_of(episodes)
     again = list(
-        blind_trial._draw(
+        conducting._draw(
             source,
             source.bench(episodes),
             conditions,
@@ -149,9 +150,9 @@ def test_single_effects_of_a_plain_oscillator_are_mostly_named(conducted):
 
 
 def test_a_planted_leak_is_caught_by_its_words(monkeypatch):
-    plain = blind_trial.case_files
+    plain = conducting.case_files
     monkeypatch.setattr(
-        blind_trial,
+        conducting,
         "case_files",
         lambda p, t, c: plain(p, t, c | {"note": " ".join(t.machine.imperfections)}),
     )
@@ -175,18 +176,18 @@ def test_a_planted_leak_is_caught_by_its_words(monkeypatch):
 def test_a_planted_leak_that_spells_no_word_takes_the_decoy(monkeypatch):
     """Labels are smuggled through in hexadecimal; the cheat that reads them knows even what no
     recording holds."""
-    hidden, plain = {}, blind_trial.case_files
+    hidden, plain = {}, conducting.case_files
 
     def smuggled(plant, trial, conditions):
         return plain(plant, trial, {**conditions, "machine": hidden["next"].encode().hex()})
 
-    def label_of(plant, specification, trial, real=blind_trial.label_of):
+    def label_of(plant, specification, trial, real=conducting.label_of):
         label = real(plant, specification, trial)
         hidden["next"] = label["bait"] or "+".join(label["effects"])
         return label
 
-    monkeypatch.setattr(blind_trial, "label_of", label_of)
-    monkeypatch.setattr(blind_trial, "case_files", smuggled)
+    monkeypatch.setattr(conducting, "label_of", label_of)
+    monkeypatch.setattr(conducting, "case_files", smuggled)
 
     def cheat(folder: Path):
         _, episodes = read_case(folder)

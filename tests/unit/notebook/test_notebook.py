@@ -177,3 +177,28 @@ def test_a_robot_is_given_by_its_file(tmp_path):
     case = trueup.Case.from_table(columns, plant=trueup.Robot(tmp_path / "arm.xml"))
     assert case.plant.joints == ("shoulder", "elbow")
     assert [c.name for c in case.plant.layout.commands] == ["u_shoulder", "u_elbow"]
+
+
+def test_two_models_are_compared_on_what_neither_was_fitted_to(answer):
+    case = answer.case
+    comparison = trueup.compare(answer, case.plant, case)
+    assert comparison.ci95[1] < 1.0
+    assert "the first predicts better" in repr(comparison)
+    assert comparison.rms["q"][0] < 0.1 * comparison.rms["q"][1]
+    assert "<table>" in comparison._repr_html_()
+    alike = trueup.compare(answer, answer.model, case)
+    assert alike.ratio == 1.0
+    assert "do not tell them apart" in alike.sentence
+    with pytest.raises(NotAnEpisode, match="holds no episode out"):
+        trueup.compare(answer, case.plant, case_of(roles=["adaptation"] * 3))
+
+
+@pytest.mark.slow
+def test_a_blind_trial_says_how_often_such_machines_are_answered_exactly():
+    stages = []
+    trial = trueup.blind_trial(case_of(), trials=4, progress=lambda stage, _: stages.append(stage))
+    assert trial.report["trials"] == 4
+    assert trial.exact == (4 - len(trial.misses)) / 4
+    assert "of 4 machines like plant" in repr(trial)
+    assert "diagnosing" in stages
+    assert "machines like" in trial._repr_html_()
