@@ -208,5 +208,10 @@ def show_case(case: MadeCase) -> None:
             ),
         ],
     )
+    if nominal.get("parameters", {}).get("b", 0.0) < 0.0:
+        say(
+            "[yellow]negative gain[/]: the joint goes against its command in these recordings. "
+            "Check the sign of the command, and that it is this joint's."
+        )
     for finding in case.findings:
         say("[yellow]{}[/]: {}. {}", finding.fault, finding.evidence, finding.advice)

@@ -6,7 +6,9 @@ import json
 import numpy as np
 import pytest
 
+from tests.support import recorded
 from tests.support.made import T0_NS, TRUE, arm_layout, plant_document
+from tests.support.robots import ARM
 from trueup.diagnose.case import read_case
 from trueup.episode.layout import Channel, Field, Layout
 from trueup.episode.role import Role
@@ -22,6 +24,19 @@ LAYOUT = Layout(
     (Channel("u", "N·m", Field.EFFORT, "hinge"),),
     "/robot/joint_states",
     "/robot/effort_command",
+)
+
+
+NAMED = Layout(
+    tuple(
+        Channel(f"{symbol}_{joint}", unit, field, joint)
+        for symbol, unit, field in (
+            ("q", "rad", Field.POSITION),
+            ("v", "rad/s", Field.VELOCITY),
+        )
+        for joint in ("shoulder", "elbow")
+    ),
+    tuple(Channel(f"u_{joint}", "N·m", Field.EFFORT, joint) for joint in ("shoulder", "elbow")),
 )
 
 
@@ -172,3 +187,37 @@ def test_a_command_that_never_moves_is_refused(tmp_path):
     path = record(tmp_path / "bag.mcap", 5, issued=np.zeros((600, 1)))
     with pytest.raises(NotIdentifiable, match="0 throughout"):
         make_case(path, tmp_path / "case", CaseOptions())
+
+
+def test_a_joint_that_is_commanded_by_positions_is_an_oscillator_about_its_command(tmp_path):
+    folder = recorded.as_lerobot([recorded.simulated(400, s) for s in range(3)], tmp_path / "d")
+    made = make_case(folder, tmp_path / "case", CaseOptions())
+    nominal = made.document["nominal"]
+    assert nominal["family"] == "oscillator"
+    assert nominal["parameters"]["b"] == pytest.approx(nominal["parameters"]["k"], rel=0.3)
+
+
+def test_a_model_beside_the_recordings_is_taken(tmp_path):
+    (tmp_path / "arm.xml").write_text(ARM)
+    states, issued = moved(6)
+    both = {
+        "states": np.hstack([states[:, :1], states[:, :1], states[:, 1:], states[:, 1:]]),
+        "issued": np.hstack([issued, issued]),
+    }
+    record(tmp_path / "run.mcap", 6, layout=NAMED, **both)
+    made = make_case(tmp_path, tmp_path / "case", CaseOptions())
+    assert made.document["nominal"]["mjcf"] == "arm.xml"
+    assert (tmp_path / "case" / "arm.xml").is_file()
+    assert [c["joint"] for c in made.document["commands"]] == ["shoulder", "elbow"]
+
+
+def test_a_mapping_is_used_again(tmp_path):
+    path = recorded.as_csv(recorded.simulated(400), tmp_path / "a.csv", ["t", "x", "y", "z"])
+    asked = {"q": "x", "v": "y", "u": "z"}
+    options = CaseOptions(signal=asked, unit={"q": "rad", "v": "rad/s", "u": "N·m"}, time="t")
+    made = make_case(path, tmp_path / "case", options)
+    again = make_case(
+        path, tmp_path / "again", CaseOptions(mapping=tmp_path / "case" / "mapping.json")
+    )
+    assert again.document == made.document
+    assert again.mapping.document() == made.mapping.confirmed().document()

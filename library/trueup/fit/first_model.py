@@ -2,7 +2,8 @@
 
 Rates and the range of the commands are read off the episodes. The nominal form is the simplest
 family that the data do not clearly speak against, with its numbers identified: so a diagnosis from
-it says what is missing beyond new numbers.
+it says what is missing beyond new numbers. A joint that is commanded by positions is an oscillator
+about its command.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import Any
 
 from trueup.canonical import Json
 from trueup.episode.episode import Episode
-from trueup.episode.layout import Channel, Layout
+from trueup.episode.layout import Channel, Field, Layout
 from trueup.episode.role import Role
 from trueup.errors import BadPlant, NotIdentifiable
 from trueup.fit.identify import identify
@@ -21,6 +22,7 @@ from trueup.model.family import families
 from trueup.model.plant import Plant
 
 SIMPLEST = ("inertia", "pendulum", "oscillator")
+SERVO = ("oscillator",)  # a joint that is commanded by positions swings about its command
 CLEARLY = 0.9  # of a simpler family's residual: a family whose own is not below that is not needed
 # rollouts are judged over so long, or over such a part of the shortest recording
 HORIZON_S, PARTS = 1.0, 5.0
@@ -33,9 +35,12 @@ def describe(
     adaptation episodes. Raises BadPlant, NotIdentifiable."""
     document = undriven(name, layout, episodes)
     used = [e for e in episodes if e.role is Role.ADAPTATION]
+    tried = SIMPLEST
+    if layout.commands[0].field is Field.POSITION:
+        tried = SERVO
     fitted = {
         f: identification
-        for f in ([family] if family else SIMPLEST)
+        for f in ([family] if family else tried)
         if (identification := _fitted(document, f, used)) is not None
     }
     if not fitted:
