@@ -19,6 +19,7 @@ from trueup.export.targets import TARGETS, Asked, export
 from trueup.model.corrected import Corrected
 from trueup.model.dynamics import CompiledFamily, Dynamics
 from trueup.model.mjcf import compile_file
+from trueup.model.mjcf_check import differences
 from trueup.model.mjcf_family import mjcf_of_joint
 from trueup.model.mjcf_patch import Left, patch
 from trueup.model.mjcf_writer import Written, write
@@ -75,18 +76,28 @@ def convert(
                 f"{to.name} is of no form that is known",
                 hint=f"End the file's name with {' or '.join(WRITERS)}, or name a --target.",
             )
+    apart = differences(to, fetched.predictor) if target is None and to.suffix == ".xml" else ()
     if as_json_:
         as_json(
             {
                 "file": str(to),
                 "artifact": fetched.digest,
                 "not_expressed": [x.document() for x in left],
+                **({"in_mujoco": [d.document() for d in apart]} if apart else {}),
             }
         )
         return
     say("{}: {}, artifact {}", to, fetched.plant.name, fetched.digest[:12])
     for x in left:
         say("not expressed: {}", x)
+    for d in apart:
+        say(
+            "in MuJoCo, on the same commands: {} differs by {:.2g} {}, {:.2g} % of its motion",
+            d.channel,
+            d.rms,
+            d.unit,
+            100.0 * d.share,
+        )
 
 
 def _read(folder: Path) -> tuple[Model, dict[str, Any] | None]:

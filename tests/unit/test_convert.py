@@ -32,6 +32,20 @@ def test_one_joint_becomes_onnx_and_mjcf(tmp_path, capsys):
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "m.xml")).nv == 1
 
 
+@pytest.mark.parametrize("family", ["oscillator", "pendulum", "inertia"])
+def test_the_written_file_is_run_in_mujoco_beside_the_model(family, tmp_path, capsys):
+    kept(model_of(family, {"coulomb_friction": {"level": 0.1}}), tmp_path / "m")
+    convert(tmp_path / "m", tmp_path / "m.xml", as_json_=True)
+    (q, *_) = json.loads(capsys.readouterr().out)["in_mujoco"]
+    assert q["rms"] < 0.02 * q["motion"]
+    kept(model_of(family, {"backlash": {"gap": 0.3}}), tmp_path / "without")
+    convert(tmp_path / "without", tmp_path / "w.xml", as_json_=True)
+    (q, *_) = json.loads(capsys.readouterr().out)["in_mujoco"]
+    assert q["rms"] > 0.02 * q["motion"]
+    convert(tmp_path / "m", tmp_path / "m.xml")
+    assert "in MuJoCo, on the same commands: q differs by" in capsys.readouterr().out
+
+
 def test_a_robot_is_written_into_its_own_file(tmp_path):
     plant = arm_plant(tmp_path)
     heavier = list(plant.parameters)

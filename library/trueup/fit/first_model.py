@@ -35,7 +35,7 @@ def describe(
     adaptation episodes. Raises BadPlant, NotIdentifiable."""
     document = undriven(name, layout, episodes)
     used = [e for e in episodes if e.role is Role.ADAPTATION]
-    tried = SIMPLEST
+    tried: tuple[str, ...] = SIMPLEST
     if layout.commands[0].field is Field.POSITION:
         tried = SERVO
     fitted = {
