@@ -17,6 +17,7 @@ from trueup.diagnose.make_case import (
     model_beside,
 )
 from trueup.errors import BadMapping, BadPlant
+from trueup.recording.controllers import read_controllers
 from trueup.recording.format import open_runs
 from trueup.recording.guess import Asked
 from trueup.recording.mapping import read_mapping
@@ -63,6 +64,10 @@ class CaseOptions:
         str | None,
         Parameter(help="Joints of a list without names, such as Float64MultiArray: j1,j2,j3"),
     ] = None
+    controllers: Annotated[
+        Path | None,
+        Parameter(help="Parameter file of ros2_control, whose controllers list those joints"),
+    ] = None
     observation: Annotated[str | None, Parameter(help="Topic of what was observed")] = None
     command: Annotated[str | None, Parameter(help="Topic of the commands")] = None
     stage: Annotated[
@@ -93,6 +98,7 @@ class CaseOptions:
                 self.command,
                 clock,
                 tuple(self.names.split(",")) if self.names else (),
+                read_controllers(self.controllers) if self.controllers else {},
             ),
             read_mapping(self.mapping.read_bytes()) if self.mapping else None,
             self.model or (None if one_joint else model_beside(log)),

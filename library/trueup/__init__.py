@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from trueup.notebook.case import Case
     from trueup.notebook.compare import Comparison, compare
     from trueup.notebook.diagnosis import Diagnosis, diagnose
+    from trueup.notebook.excitations import Experiment, excite
     from trueup.notebook.models import FirstModel, Inertia, Oscillator, Pendulum, Robot
     from trueup.notebook.trials import BlindTrial, blind_trial
 
@@ -23,6 +24,7 @@ __all__ = [
     "Case",
     "Comparison",
     "Diagnosis",
+    "Experiment",
     "FirstModel",
     "Inertia",
     "Model",
@@ -32,6 +34,7 @@ __all__ = [
     "blind_trial",
     "compare",
     "diagnose",
+    "excite",
     "load",
     "load_effect",
 ]
@@ -48,6 +51,8 @@ _MODULES = {
     "compare": "trueup.notebook.compare",
     "Diagnosis": "trueup.notebook.diagnosis",
     "diagnose": "trueup.notebook.diagnosis",
+    "Experiment": "trueup.notebook.excitations",
+    "excite": "trueup.notebook.excitations",
     "FirstModel": "trueup.notebook.models",
     "Inertia": "trueup.notebook.models",
     "Oscillator": "trueup.notebook.models",

@@ -14,6 +14,7 @@ import numpy as np
 from trueup.episode.layout import Channel, Field, Layout
 from trueup.episode.units import ANGLES, LENGTHS, spelled
 from trueup.errors import BadMapping
+from trueup.recording.controllers import joints_at
 from trueup.recording.guess_clock import best, clock_of, signals_in_words
 from trueup.recording.mapping import Part, SignalMapping, Source
 from trueup.recording.quantity import Quantity, quantity_of, words
@@ -36,6 +37,7 @@ class Asked:
     command: str | None = None
     clock: Clock | None = None
     names: tuple[str, ...] = ()
+    controllers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 def guess(
@@ -54,7 +56,7 @@ class _Guess:
     def __init__(self, recording: Recording, asked: Asked, layout: Layout | None) -> None:
         self._recording, self._asked, self._layout = recording, asked, layout
         self._all = [
-            quantity_of(s, _with_name(s, x, asked.names))
+            quantity_of(s, _with_name(s, x, joints_at(s.name, asked.controllers) or asked.names))
             for s in recording.streams
             for x in s.signals
         ]

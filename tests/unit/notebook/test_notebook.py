@@ -11,7 +11,7 @@ import trueup
 from tests.support import recorded
 from tests.support.robots import ARM
 from trueup.diagnose.case import read_case
-from trueup.errors import BadMapping, BadPlant, NotAnEpisode
+from trueup.errors import BadMapping, BadPlant, NotAnEpisode, NotIdentifiable
 from trueup.notebook.diagnosis import Diagnosis
 
 RUNS = [recorded.simulated(1200, seed) for seed in range(3)]
@@ -202,3 +202,22 @@ def test_a_blind_trial_says_how_often_such_machines_are_answered_exactly():
     assert "of 4 machines like plant" in repr(trial)
     assert "diagnosing" in stages
     assert "machines like" in trial._repr_html_()
+
+
+@pytest.mark.slow
+def test_the_next_experiment_is_designed_within_the_limits(answer, tmp_path):
+    from trueup.diagnose.excitation_design import Allowed
+
+    experiment = trueup.excite(answer.case, answer, allowed=Allowed(duration_s=1.0))
+    low, high = answer.case.plant.limits
+    assert experiment.commands.shape == (len(experiment.t_s), 1)
+    assert (experiment.commands >= low).all()
+    assert (experiment.commands <= high).all()
+    assert "check before you play them" in repr(experiment)
+    assert experiment._repr_html_().count("<li>") == len(experiment.check_first)
+    assert {p.name for p in experiment.save(tmp_path).iterdir()} == {
+        "excitation.csv",
+        "excitation.json",
+    }
+    with pytest.raises(NotIdentifiable, match="left no alternatives"):
+        trueup.excite(answer.case, answer, split=True)

@@ -9,7 +9,8 @@ from mcap.writer import Writer
 
 from tests.support import recorded
 from trueup.episode.layout import Field
-from trueup.errors import NotAnEpisode
+from trueup.errors import BadMapping, NotAnEpisode
+from trueup.recording.controllers import read_controllers
 from trueup.recording.format import open_runs
 from trueup.recording.guess import Asked, guess
 from trueup.recording.mapping import Part
@@ -180,6 +181,34 @@ def test_a_list_without_names_is_named_by_a_person(tmp_path):
     times, values = read(recording, command.stream, command.signal)
     np.testing.assert_array_equal(values[:, 0], RUN.u)
     np.testing.assert_array_equal(times, RUN.stamps_ns + 1000)
+
+
+def test_a_controllers_parameters_name_the_entries_of_its_commands(tmp_path):
+    kind = "std_msgs/msg/Float64MultiArray"
+    layout = STORE.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+    messages = [
+        (at, STORE.types[kind](layout=layout, data=np.array([RUN.u[i], 0.5])))
+        for i, at in enumerate(RUN.stamps_ns)
+    ]
+    recording = bag(
+        tmp_path,
+        {
+            "/joint_states": states(("shoulder", "elbow"), [RUN.v, RUN.q]),
+            "/lab/arm_controller/commands": (kind, messages),
+        },
+    )
+    file = tmp_path / "controllers.yaml"
+    file.write_text(
+        "controller_manager:\n  ros__parameters:\n    update_rate: 100\n"
+        "lab:\n  arm_controller:\n    ros__parameters:\n      joints: [elbow, shoulder]\n"
+        "      interface_name: effort\n"
+    )
+    asked = Asked(joint="elbow", controllers=read_controllers(file))
+    command = guess(recording, asked).of(Part.COMMANDS)[0]
+    assert (command.signal, command.joint) == ("0", "elbow")
+    file.write_text("controller_manager:\n  ros__parameters:\n    update_rate: 100\n")
+    with pytest.raises(BadMapping, match="no controller"):
+        read_controllers(file)
 
 
 def test_a_trajectory_is_a_row_for_each_point_until_another_takes_its_place(tmp_path):
