@@ -88,6 +88,8 @@ def convert(
         )
         return
     say("{}: {}, artifact {}", to, fetched.plant.name, fetched.digest[:12])
+    if target is not None and inertia is None and fetched.plant.family != "mjcf":
+        say("forces are per unit of inertia: --inertia makes newton metres of them")
     for x in left:
         say("not expressed: {}", x)
     for d in apart:
@@ -102,6 +104,11 @@ def convert(
 
 def _read(folder: Path) -> tuple[Model, dict[str, Any] | None]:
     """Returns the model in a folder, and the report of its diagnosis if that is one's folder."""
+    if not folder.is_dir():
+        raise NotExportable(
+            f"there is no folder {folder}",
+            hint="Name one that `trueup fetch` or `trueup diagnose --out` wrote.",
+        )
     report = folder / REPORT_FILE
     if (folder / MODEL_FOLDER).is_dir() and report.is_file():
         return load(folder / MODEL_FOLDER), json.loads(report.read_bytes())

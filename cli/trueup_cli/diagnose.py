@@ -18,12 +18,20 @@ from trueup.diagnose.summary_text import sentence, warnings
 from trueup.episode.episode import Episode
 from trueup.model.mjcf_writer import write as write_corrected
 from trueup.randomise.supported import RANDOMISATION_FILE, supported_ranges
+from trueup_cli.init import CaseOptions, case_of, show_case
 from trueup_cli.options import Json, Seed
 from trueup_cli.show import as_json, progress, say, show_diagnosis
 from trueup_pages.diagnosis import report_page
 
 
-def run(case: Path, *, out: Path, seed: Seed = 0, as_json_: Json = False) -> None:
+def run(
+    case: Path,
+    *,
+    out: Path,
+    options: CaseOptions | None = None,
+    seed: Seed = 0,
+    as_json_: Json = False,
+) -> None:
     """Diagnose the gap between a case's nominal model and its recordings.
 
     Writes report.json, report.html, the corrected model and the randomisation ranges that its
@@ -34,14 +42,12 @@ def run(case: Path, *, out: Path, seed: Seed = 0, as_json_: Json = False) -> Non
     ----------
     case
         folder with plant.json and *.mcap episodes; or recordings of any format that `trueup init`
-        reads, from which such a folder is made first
+        reads, from which such a folder is made first, by the same options
     out
         folder to write to
     """
     if not (case / "plant.json").is_file() and case.exists():
-        from trueup_cli.init import CaseOptions, case_of, show_case
-
-        made = case_of(case, out / "case", CaseOptions(), is_quiet=as_json_)
+        made = case_of(case, out / "case", options or CaseOptions(), is_quiet=as_json_)
         case = made.folder
         if not as_json_:
             show_case(made)

@@ -17,9 +17,9 @@ from trueup.diagnose.make_case import (
     model_beside,
 )
 from trueup.errors import BadMapping, BadPlant
+from trueup.recording.asked import Asked
 from trueup.recording.controllers import read_controllers
 from trueup.recording.format import open_runs
-from trueup.recording.guess import Asked
 from trueup.recording.mapping import read_mapping
 from trueup.recording.recording import Clock
 from trueup_cli.options import Json
@@ -80,11 +80,14 @@ class CaseOptions:
     def declared(self, log: Path) -> Declared:
         """What was declared, with the model that lies beside the log. Raises BadMapping."""
         clock = None
-        if self.time is not None or self.rate is not None:
+        if self.time is not None or self.time_unit is not None or self.rate is not None:
             clock = Clock(self.time, self.time_unit or "", self.rate)
-        for symbol in (*self.signal, *self.unit):
-            if symbol not in ("q", "v", "u"):
-                raise BadMapping(f"there is no channel {symbol!r}", field=symbol, hint=PER)
+        if self.mapping is not None and (self.joint or self.signal or self.unit or self.time):
+            raise BadMapping(
+                "a mapping says all of that: joint, signals, units and time",
+                field="mapping",
+                hint="Correct the mapping, or leave it out.",
+            )
         one_joint = self.family or self.joint or "q" in self.signal or self.mapping
         return Declared(
             self.name or (log.stem if log.is_file() else log.resolve().name),
@@ -206,7 +209,7 @@ def show_case(case: MadeCase) -> None:
                 if numbers
                 else "as it lies beside the recordings",
             ),
-            ("units", units, "correct them where they are others"),
+            ("units", units, "after conversion; correct them in plant.json if they are others"),
             (
                 "stage",
                 stage,

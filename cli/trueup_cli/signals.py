@@ -21,7 +21,7 @@ def confirmed(mapping: SignalMapping, *, is_agreed: bool = False) -> SignalMappi
     if ask(f"Guessed: {'; '.join(mapping.guesses)}. Is that so?"):
         return mapping.confirmed()
     raise BadMapping(
-        "the signals are others",
+        "the guess was not taken",
         field="signals",
         hint="Name them to `trueup init` with --signal.q, --signal.v, --signal.u, --unit.q … and "
         f"--time, or correct a {MAPPING_FILE} and hand it in with --mapping.",

@@ -126,7 +126,7 @@ def test_an_answer_is_printed_with_its_warnings_and_names_as_they_are(capsys):
     sentence, clock, numbers = capsys.readouterr().out.splitlines()
     assert sentence.endswith("cannot tell this from backlash at [bold].")
     assert "off the declared step" in clock
-    assert "worse held out" in numbers
+    assert "held-out predictions worse" in numbers
 
 
 def test_doctor_prints_json():

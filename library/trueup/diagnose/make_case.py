@@ -27,8 +27,9 @@ from trueup.errors import BadPlant, of_file
 from trueup.fit.first_model import describe, describe_robot
 from trueup.model.mjcf import compile_file, resolved
 from trueup.model.plant import Plant
+from trueup.recording.asked import Asked
 from trueup.recording.format import Run
-from trueup.recording.guess import Asked, guess
+from trueup.recording.guess import guess
 from trueup.recording.mapping import Part, SignalMapping, layout_of
 from trueup.recording.parts import RecordingPart, parts_of
 from trueup.recording.transcribe import origin_of

@@ -30,6 +30,7 @@ from trueup.model.block import term as term_at
 from trueup.model.effect import effects
 from trueup.model.mjcf_patch import Patch
 from trueup.model.plant import Plant
+from trueup.recording.mapping import guesses_of
 
 SCHEMA = "trueup.diagnosis/1"
 LISTED = 25  # hypotheses in the evidence
@@ -115,6 +116,7 @@ def report(
                 {"sha256": e.digest, "role": str(e.role), "period_s": e.period_s}
                 for e in sorted(episodes, key=lambda e: e.digest)
             ],
+            "guessed": sorted({g for e in episodes for g in guesses_of(e.source)}),
             "hypotheses": _hypotheses(plant, search, choice, nominal),
             "alternatives": list(alternatives),
             "noise": {

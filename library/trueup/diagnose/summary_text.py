@@ -309,6 +309,8 @@ def warnings(document: Mapping[str, Any]) -> list[str]:
             "No correction that was tried predicts the held-out recordings better than the nominal "
             "model: the model that is served has its numbers."
         )
+    if evidence.get("guessed"):
+        sentences.append(f"Guessed, and confirmed by nobody: {'; '.join(evidence['guessed'])}.")
     # an older report does not say what its clock was
     episodes = evidence["episodes"] if "timestep_s" in evidence else []
     late = [off for e in episodes if (off := off_step(e["period_s"], evidence["timestep_s"]))]
@@ -322,9 +324,9 @@ def warnings(document: Mapping[str, Any]) -> list[str]:
         and gap["parameters_only"] > EVIDENCE.misleading * gap["before"]
     ):
         sentences.append(
-            "New numbers alone are worse held out than the nominal model "
+            "Refitting the nominal numbers without the answer makes held-out predictions worse "
             f"({short(gap['parameters_only'])}, was {short(gap['before'])}): "
-            "they bend to what the form lacks; do not use them without it."
+            "do not use those numbers alone."
         )
     ramps = [name for name, h in evidence.get("holds", {}).items() if _found_to_be_ramp(h)]
     if ramps:

@@ -127,6 +127,10 @@ def drives_of(
             f"a predictor of the kind {predictor.kind!r} is no machine with drives",
             hint="Export a version that a diagnosis or an identification made.",
         )
+    if inertia is not None and not inertia > 0.0:
+        raise NotExportable(
+            f"an inertia is above 0, this is {inertia:g}", hint="Give kg m^2, or kg."
+        )
     plant = predictor.plant
     reader = _reader(plant.dynamics, plant, inertia)
     centre = np.array(predictor.values, float)

@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from math import ceil, floor, log10
 from typing import Any
 
+import numpy as np
+
 from trueup.canonical import Json
 from trueup.episode.episode import Episode
 from trueup.episode.layout import Channel, Field, Layout
@@ -22,6 +24,11 @@ from trueup.model.family import families
 from trueup.model.plant import Plant
 
 SIMPLEST = ("inertia", "pendulum", "oscillator")
+CONSTANT = "it is not what drives the joint"
+OTHERWISE = (
+    "Name another signal with --signal.u (in Python u=), or with --names the joints of a list that "
+    "has no names."
+)
 SERVO = ("oscillator",)  # a joint that is commanded by positions swings about its command
 CLEARLY = 0.9  # of a simpler family's residual: a family whose own is not below that is not needed
 # rollouts are judged over so long, or over such a part of the shortest recording
@@ -49,8 +56,9 @@ def describe(
             hint="Record a motion that moves and reverses more.",
         )
     best = next(iter(fitted))
-    for other, (_, residual) in fitted.items():
-        if residual < CLEARLY * fitted[best][1]:
+    for other, (numbers, residual) in fitted.items():
+        as_many = len(numbers) == len(fitted[best][0])  # of as many numbers the nearer one is taken
+        if residual < (1.0 if as_many else CLEARLY) * fitted[best][1]:
             best = other
     document["nominal"] |= {
         "family": best,
@@ -94,9 +102,9 @@ def _channel(c: Channel) -> dict[str, Any]:
 
 
 def _rounded_up(x: float) -> float:
-    """To two digits."""
-    step = 10.0 ** (floor(log10(x)) - 1)
-    return float(f"{ceil(x / step - 1e-9) * step:.2g}")
+    """To four digits."""
+    step = 10.0 ** (floor(log10(x)) - 3)
+    return float(f"{ceil(x / step - 1e-9) * step:.4g}")
 
 
 def describe_robot(
@@ -116,10 +124,10 @@ def undriven(name: str, layout: Layout, episodes: Sequence[Episode]) -> dict[str
         max(float(abs(e.commands[:, i]).max()) for e in episodes)
         for i in range(len(layout.commands))
     ]
-    if not any(reaches):
-        raise NotIdentifiable(
-            "the command is 0 throughout", hint="Name the signal that drives the joint."
-        )
+    if not any(e.commands[:, i].any() for e in episodes for i in range(len(layout.commands))):
+        raise NotIdentifiable(f"the command is 0 throughout: {CONSTANT}", hint=OTHERWISE)
+    if all(np.ptp(e.commands, axis=0).max() == 0.0 for e in episodes):
+        raise NotIdentifiable(f"the command is constant throughout: {CONSTANT}", hint=OTHERWISE)
     horizon = min(HORIZON_S, min(float(e.t_s[-1]) for e in episodes) / PARTS)
     return {
         "name": name,

@@ -20,8 +20,10 @@ from trueup.episode.role import Role
 from trueup.errors import BadMapping, NotAnEpisode
 from trueup.model.plant import Plant
 from trueup.notebook.models import FirstModel, NominalModel, Robot
+from trueup.recording.asked import Asked
+from trueup.recording.controllers import read_controllers
 from trueup.recording.format import open_runs
-from trueup.recording.guess import Asked, guess
+from trueup.recording.guess import guess
 from trueup.recording.in_memory import table_recording
 from trueup.recording.mapping import SignalMapping, layout_of, read_mapping
 from trueup.recording.parts import RecordingPart, parts_of
@@ -73,11 +75,7 @@ class Case:
         if not listed:
             raise NotAnEpisode("there is no table", rule="samples")
         recordings = [table_recording(table, f"table {i}") for i, table in enumerate(listed)]
-        signals = {k: name for k, name in (("q", q), ("v", v), ("u", u)) if name is not None}
-        clock = None
-        if t is not None or rate_hz is not None:
-            clock = Clock(t, t_unit or "", rate_hz)
-        asked = Asked(signals=signals, units=dict(units or {}), clock=clock)
+        asked = Asked(_named(q=q, v=v, u=u), dict(units or {}), clock=_clock(t, t_unit, rate_hz))
         return _made(recordings, [IN_MEMORY] * len(recordings), plant, asked, roles, stage, mapping)
 
     @staticmethod
@@ -86,19 +84,39 @@ class Case:
         *,
         plant: NominalModel | None = None,
         joint: str | None = None,
+        q: str | None = None,
+        v: str | None = None,
+        u: str | None = None,
+        t: str | None = None,
+        t_unit: str | None = None,
+        rate_hz: float | None = None,
+        units: Mapping[str, str] | None = None,
+        names: Sequence[str] = (),
+        controllers: str | PathLike[str] | None = None,
+        observation: str | None = None,
+        command: str | None = None,
         roles: Sequence[str] | None = None,
         stage: str = "physical",
         mapping: Mapping[str, Any] | None = None,
-        **signals: str,
     ) -> Case:
         """A case from a file or a folder of any format that docs/recordings.md lists.
 
-        `joint` names one of several; `q`, `v` and `u` name signals, where names do not tell. The
-        rest is as for `from_table`. Raises BadEpisode, BadMapping, BadPlant, NotIdentifiable,
-        NotInstalled.
+        `joint` names one of several; `q`, `v` and `u` name signals, where names do not tell;
+        `observation` and `command` topics; `names` the joints of a list that has none, which
+        `controllers`, a parameter file of ros2_control, lists as well. The rest is as for
+        `from_table`. Raises BadEpisode, BadMapping, BadPlant, NotIdentifiable, NotInstalled.
         """
         runs = open_runs(Path(path))
-        asked = Asked(signals=signals, joint=joint)
+        asked = Asked(
+            _named(q=q, v=v, u=u),
+            dict(units or {}),
+            joint,
+            observation,
+            command,
+            _clock(t, t_unit, rate_hz),
+            tuple(names),
+            read_controllers(Path(controllers)) if controllers is not None else {},
+        )
         origins = [origin_of(run.path, run.part) for run in runs]
         return _made([r.recording for r in runs], origins, plant, asked, roles, stage, mapping)
 
@@ -140,6 +158,16 @@ class Case:
         )
         guessed = f"; guessed: {'; '.join(self.guesses)}" if self.guesses else ""
         return f"Case({self.plant.name}, {self.plant.family}: {roles}{guessed})"
+
+
+def _named(**signals: str | None) -> dict[str, str]:
+    return {symbol: name for symbol, name in signals.items() if name is not None}
+
+
+def _clock(t: str | None, unit: str | None, rate_hz: float | None) -> Clock | None:
+    if t is None and unit is None and rate_hz is None:
+        return None
+    return Clock(t, unit or "", rate_hz)
 
 
 def _made(

@@ -6,14 +6,15 @@ preference or a usual unit decided is marked as guessed, to be shown to a person
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from trueup.episode.layout import Channel, Field, Layout
 from trueup.episode.units import ANGLES, LENGTHS, spelled
 from trueup.errors import BadMapping
+from trueup.recording.asked import NOTHING_ASKED, Asked, check
 from trueup.recording.controllers import joints_at
 from trueup.recording.guess_clock import best, clock_of, signals_in_words
 from trueup.recording.mapping import Part, SignalMapping, Source
@@ -24,25 +25,9 @@ from trueup.recording.table import TableRecording
 TURNS = 4.0 * np.pi  # [rad] beyond two turns a joint's angle is taken to be in degrees
 
 
-@dataclass(frozen=True)
-class Asked:
-    """What a person says of a recording: `signals` and `units` by `q`, `v`, `u` (of one joint), the
-    joint, the topics, the time of a table, and what joints the entries of a list are of that has no
-    names."""
-
-    signals: Mapping[str, str] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
-    joint: str | None = None
-    observation: str | None = None
-    command: str | None = None
-    clock: Clock | None = None
-    names: tuple[str, ...] = ()
-    controllers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-
-
 def guess(
     recording: Recording,
-    asked: Asked = Asked(),
+    asked: Asked = NOTHING_ASKED,
     *,
     joints: Sequence[str] | None = None,
     layout: Layout | None = None,
@@ -61,6 +46,7 @@ class _Guess:
             for x in s.signals
         ]
         self._head = recording.head() if isinstance(recording, TableRecording) else {}
+        check(asked)
         for name in (asked.observation, asked.command):
             if name is not None and recording.stream(name) is None:
                 raise self._refused(f"no signal is on {name}", "topics")
@@ -177,6 +163,14 @@ class _Guess:
             return None
         others = [q for q in of if q.signal is not position.signal]
         marked = [q for q in others if self._may_command(q) and (q.field or q.is_command)]
+        nameless = self._nameless()
+        if not marked and nameless and joint is not None:
+            raise BadMapping(
+                f"{self._recording.name}: the {nameless[1]} entries of {nameless[0]} have no names",
+                field="commands",
+                hint="Name their joints in their order with --names j1,j2 or --controllers (in "
+                "Python names=), or one entry by its number with --signal.u 0.",
+            )
         if not marked:  # what the drives measured is all that the log has of the command
             marked = [q for q in others if q.field is Field.EFFORT and not _is_applied(q)]
         if declared is not None:
@@ -194,6 +188,15 @@ class _Guess:
         streams = {q.stream for q in marked}
         is_plain = chosen.signal.field is not None or len(marked) == 1
         return chosen, () if is_plain and len(streams) == 1 else ("signal",)
+
+    def _nameless(self) -> tuple[str, int] | None:
+        """The topic of commands whose entries have no names, and how many they are."""
+        of = [
+            q
+            for q in self._all
+            if self._may_command(q) and q.signal.joint is None and q.signal.name.isdigit()
+        ]
+        return (of[0].stream, len(of)) if of else None
 
     def _may_command(self, q: Quantity) -> bool:
         if self._asked.command is not None:
@@ -260,6 +263,8 @@ class _Guess:
 
     def _unit(self, part: Part, of: Field, symbol: str, q: Quantity) -> tuple[str, bool]:
         """The unit of a signal, and whether somebody told it."""
+        if part is Part.COMMANDS and of is Field.POSITION and "u" not in self._asked.units:
+            symbol = "q"  # a goal is in the unit of what it is a goal for
         if symbol in self._asked.units:
             return spelled(self._asked.units[symbol]), True
         if q.unit is not None or part is Part.EFFORTS:
@@ -315,7 +320,11 @@ class _Guess:
         if asked is not None:
             if _plain(asked) not in map(_plain, joints):
                 raise self._refused(
-                    f"no joint {asked!r} is observed", "joint", f"There are {', '.join(joints)}."
+                    f"no joint {asked!r} is observed",
+                    "joint",
+                    f"There are {', '.join(joints)}."
+                    if joints
+                    else "No signal's name tells a joint: leave --joint out.",
                 )
             return next(j for j in joints if _plain(j) == _plain(asked))
         if len(joints) > 1:

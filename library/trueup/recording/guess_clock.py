@@ -23,18 +23,19 @@ def clock_of(
 ) -> tuple[Clock, bool]:
     """The clock of a table, and whether it is a guess: what was asked for, what the format tells,
     or the column that is called a time. Raises BadMapping where there is none."""
-    if asked is not None and (asked.rate_hz is not None or asked.unit):
+    if asked is not None and (asked.rate_hz is not None or (asked.signal and asked.unit)):
         return asked, False
     if asked is None and recording.suggested is not None:
         return recording.suggested, False
     head = recording.head()
-    if asked is not None:
+    if asked is not None and asked.signal is not None:
         times = [q for q in quantities if q.signal.name == asked.signal]
     else:
         times = [q for q in quantities if q.is_time and _increases(head.get(q.signal.name))]
     likely = best(times, lambda q: q.unit in TIMES)
     if not likely:
-        what = "no column looks like the time" if asked is None else f"no {asked.signal!r} is there"
+        named = asked.signal if asked is not None else None
+        what = "no column looks like the time" if named is None else f"no {named!r} is there"
         raise BadMapping(
             f"{recording.name}: {what}",
             field="time",
@@ -42,6 +43,8 @@ def clock_of(
             f"{signals_in_words(recording)}",
         )
     chosen, is_one = likely[0], len(likely) == 1
+    if asked is not None and asked.unit:
+        return Clock(chosen.signal.name, asked.unit), not is_one
     if chosen.unit is not None and chosen.unit in TIMES:
         return Clock(chosen.signal.name, chosen.unit), not is_one
     unit, is_certain = _unit(head.get(chosen.signal.name))

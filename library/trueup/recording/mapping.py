@@ -27,6 +27,7 @@ from trueup.errors import BadMapping
 from trueup.recording.recording import TABLE, Clock, Recording, Wanted
 
 SCHEMA = "trueup.mapping/1"
+MOST_LISTED = 40  # signals in a message
 
 
 class Part(StrEnum):
@@ -136,7 +137,11 @@ class SignalMapping:
             document["time"] = (
                 {"rate_hz": self.clock.rate_hz}
                 if self.clock.rate_hz is not None
-                else {"signal": self.clock.signal, "unit": self.clock.unit}
+                else {
+                    "signal": self.clock.signal,
+                    "unit": self.clock.unit,
+                    **({"guessed": True} if self.clock_guessed else {}),
+                }
             )
         for part in Part:
             if of := self.of(part):
@@ -148,13 +153,13 @@ class SignalMapping:
         for source in self.sources:
             stream = recording.stream(source.stream)
             if stream is None or stream.signal(source.signal) is None:
-                there = [s.name for s in (stream.signals if stream else ())]
-                streams = [s.name for s in recording.streams if s.name]
+                listed = [stream] if stream is not None else recording.streams
+                there = [s.name for one in listed for s in one.signals]
                 raise BadMapping(
                     f"{recording.name} has no signal {source.signal!r}"
                     + (f" on {source.stream}" if source.stream else ""),
                     field=str(source.part),
-                    hint=f"It has {', '.join(there or streams) or 'none'}.",
+                    hint=f"It has {', '.join(there[:MOST_LISTED]) or 'none'}.",
                 )
 
 
@@ -185,7 +190,16 @@ def read_mapping(text: bytes | str) -> SignalMapping:
     for part in (Part.OBSERVATIONS, Part.COMMANDS):
         if not any(s.part is part for s in sources):
             raise BadMapping(f"the mapping names no {part}", field=str(part))
-    return SignalMapping(sources, _clock(document.get("time")))
+    time = document.get("time")
+    is_guessed = isinstance(time, dict) and time.get("guessed") is True
+    return SignalMapping(sources, _clock(time), is_guessed)
+
+
+def guesses_of(source: Mapping[str, str]) -> tuple[str, ...]:
+    """In words what was guessed of the signals of an episode with this `source`, and confirmed by
+    nobody."""
+    text = source.get("mapping")
+    return read_mapping(text).guesses if text else ()
 
 
 def _entries(document: Mapping[str, Any], part: Part) -> list[Any]:
@@ -230,7 +244,7 @@ def _clock(time: Any) -> Clock | None:
         return None
     if not isinstance(time, dict) or ("signal" in time) == ("rate_hz" in time):
         raise BadMapping("time is a signal with its unit, or a rate_hz", field="time")
-    _no_more(time, "time", "signal", "unit", "rate_hz")
+    _no_more(time, "time", "signal", "unit", "rate_hz", "guessed")
     if "rate_hz" in time:
         rate = time["rate_hz"]
         if isinstance(rate, bool) or not isinstance(rate, int | float) or not rate > 0.0:

@@ -106,7 +106,7 @@ def _source(recording: Recording, mapping: SignalMapping, origin: Origin) -> dic
         "format": recording.format,
         "sha256": origin.sha256,
         **({"part": origin.part} if origin.part else {}),
-        "mapping": orjson.dumps(mapping.confirmed().document()).decode(),
+        "mapping": orjson.dumps(mapping.document()).decode(),
     }
 
 

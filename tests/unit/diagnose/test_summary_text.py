@@ -223,7 +223,7 @@ def test_a_clock_off_the_declared_step_is_told(period_s, told):
 
 def test_new_numbers_that_do_worse_than_nominal_are_told_where_there_is_a_gap():
     (warning,) = warnings(recorded(0.005, before=0.21, numbers=0.3))
-    assert "worse held out than the nominal model (0.3, was 0.21)" in warning
+    assert "held-out predictions worse (0.3, was 0.21)" in warning
     assert warnings(recorded(0.005, before=0.013, numbers=0.02)) == []
     assert warnings(recorded(0.005, before=0.21, numbers=0.215)) == []
 

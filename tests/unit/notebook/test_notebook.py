@@ -221,3 +221,9 @@ def test_the_next_experiment_is_designed_within_the_limits(answer, tmp_path):
     }
     with pytest.raises(NotIdentifiable, match="left no alternatives"):
         trueup.excite(answer.case, answer, split=True)
+
+
+def test_what_was_guessed_is_told_with_the_answer(answer):
+    assert any("confirmed by nobody: the unit of pos (rad)" in w for w in answer.warnings)
+    sure = trueup.diagnose(case_of(units={"q": "rad", "v": "rad/s"}))
+    assert not any("confirmed by nobody" in w for w in sure.warnings)

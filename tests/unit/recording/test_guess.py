@@ -6,7 +6,8 @@ import pytest
 from tests.support import recorded
 from trueup.episode.layout import Channel, Field, Layout
 from trueup.errors import BadMapping
-from trueup.recording.guess import Asked, guess
+from trueup.recording.asked import Asked
+from trueup.recording.guess import guess
 from trueup.recording.in_memory import table_recording
 from trueup.recording.mapping import Part, layout_of, read_mapping
 from trueup.recording.recording import Clock
@@ -169,3 +170,21 @@ def test_a_mapping_that_breaks_a_rule_is_refused_at_its_field(change, field):
     with pytest.raises(BadMapping) as refused:
         read_mapping(orjson.dumps(document))
     assert refused.value.facts["field"] == field
+
+
+@pytest.mark.parametrize(
+    ("asked", "why"),
+    [
+        (Asked(units={"q": "furlong"}), "'furlong' is no unit of q"),
+        (Asked(units={"pos": "rad"}), "no channel 'pos'"),
+        (Asked(signals={"x": "pos"}), "no channel 'x'"),
+    ],
+)
+def test_what_is_asked_for_and_cannot_be_is_refused(asked, why):
+    with pytest.raises(BadMapping, match=why):
+        guessed({"t": RUN.t_s, "pos": RUN.q, "cmd": RUN.u}, asked)
+
+
+def test_the_unit_of_time_may_be_told_alone():
+    columns = {"t": 1e3 * RUN.t_s, "q_rad": RUN.q, "u_nm": RUN.u}
+    assert guessed(columns, Asked(clock=Clock(unit="ms"))).clock == Clock("t", "ms")

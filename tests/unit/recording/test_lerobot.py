@@ -9,8 +9,9 @@ from tests.laws.test_formats import episode_of
 from tests.support import recorded
 from trueup.episode.layout import Field
 from trueup.errors import BadEpisode, NotAnEpisode
+from trueup.recording.asked import Asked
 from trueup.recording.format import open_runs
-from trueup.recording.guess import Asked, guess
+from trueup.recording.guess import guess
 
 RUNS = [recorded.simulated(200, seed) for seed in range(3)]
 

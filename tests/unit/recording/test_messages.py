@@ -10,9 +10,10 @@ from mcap.writer import Writer
 from tests.support import recorded
 from trueup.episode.layout import Field
 from trueup.errors import BadMapping, NotAnEpisode
+from trueup.recording.asked import Asked
 from trueup.recording.controllers import read_controllers
 from trueup.recording.format import open_runs
-from trueup.recording.guess import Asked, guess
+from trueup.recording.guess import guess
 from trueup.recording.mapping import Part
 
 RUN = recorded.simulated(50)
@@ -175,6 +176,9 @@ def test_a_list_without_names_is_named_by_a_person(tmp_path):
             "/forward_effort_controller/commands": (kind, messages),
         },
     )
+    with pytest.raises(BadMapping, match="2 entries of") as refused:
+        guess(recording, Asked(joint="elbow"))
+    assert "--names" in refused.value.hint
     mapping = guess(recording, Asked(joint="elbow", names=("shoulder", "elbow")))
     command = mapping.of(Part.COMMANDS)[0]
     assert (command.signal, command.field, command.joint) == ("1", Field.EFFORT, "elbow")
