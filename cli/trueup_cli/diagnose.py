@@ -7,7 +7,6 @@ import json
 from pathlib import Path
 
 import trueup
-from trueup.artifact.artifact import pack
 from trueup.artifact.model import save
 from trueup.cores import one_arena
 from trueup.diagnose.case import read_case
@@ -87,15 +86,7 @@ def run(
 def write(diagnosis: Diagnosis, episodes: list[Episode], out: Path) -> None:
     """Writes the report as JSON and as a page, the model, the randomisation ranges that it
     supports, and the next experiment's command."""
-    artifact = pack(
-        diagnosis.predictor,
-        {
-            "origin": "diagnosis",
-            "episodes": [e.digest for e in episodes],
-            "verdict": str(diagnosis.document["verdict"]),
-        },
-    )
-    save(artifact, out / "model")
+    save(diagnosis.artifact(episodes), out / "model")
     experiment, report = diagnosis.experiment, diagnosis.document
     if experiment is not None and experiment.command is not None:
         (out / COMMAND_FILE).write_text(experiment.csv(diagnosis.plant), newline="")

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import sys
 
-from trueup.diagnose.make_case import MAPPING_FILE
 from trueup.errors import BadMapping
-from trueup.recording.mapping import Part, SignalMapping
+from trueup.recording.mapping import MAPPING_FILE, Part, SignalMapping
 from trueup_cli.show import ask, table
 
 

@@ -19,7 +19,7 @@ from trueup.model.plant import Plant
 from trueup.recording.format import format_of, open_runs
 from trueup.recording.guess import guess
 from trueup.recording.mapping import read_mapping
-from trueup.recording.transcribe import origin_of, transcribe
+from trueup.recording.transcribe import origins_of, transcribe
 from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect
 from trueup_cli.show import Bar, as_json, progress, say, table
 from trueup_cli.signals import confirmed
@@ -130,9 +130,9 @@ def _transcribed(
     mapping = declared or guess(runs[0].recording, layout=layout)
     if declared is None:
         mapping = confirmed(mapping)
-    for i, run in enumerate(runs):
+    for run, origin in zip(runs, origins_of(runs), strict=True):
         name = run.part or run.path.name
-        episode = to / f"{len(list(to.iterdir()))}-{i}.mcap"
+        episode = to / f"{len(list(to.iterdir()))}.mcap"
         with progress(f"reading {name}"), of_file(name), episode.open("xb") as file:
             transcribe(
                 run.recording,
@@ -141,7 +141,7 @@ def _transcribed(
                 file,
                 role=described.role,
                 conditions={**described.conditions, "recording": name},
-                origin=origin_of(run.path, run.part),
+                origin=origin,
             )
         yield name, episode
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+from trueup.artifact.artifact import Artifact, pack
 from trueup.canonical import Json
 from trueup.collect.bounds import Recorded
 from trueup.cores import in_parallel
@@ -74,6 +75,18 @@ class Diagnosis:
     def validation(self) -> Sequence[Episode]:
         """The episodes that were compared on, without what says nothing."""
         return self.recordings.validation
+
+    def artifact(self, episodes: Sequence[Episode]) -> Artifact:
+        """The corrected model as an artifact, with the recordings and the verdict that it comes
+        from."""
+        return pack(
+            self.predictor,
+            {
+                "origin": "diagnosis",
+                "episodes": [e.digest for e in episodes],
+                "verdict": str(self.document["verdict"]),
+            },
+        )
 
 
 class _Selection:

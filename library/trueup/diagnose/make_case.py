@@ -12,11 +12,10 @@ import re
 import shutil
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from trueup.diagnose.case import read_recording
 from trueup.doctor.examine import examine
 from trueup.doctor.finding import Finding
 from trueup.episode.episode import Episode
@@ -30,13 +29,13 @@ from trueup.model.plant import Plant
 from trueup.recording.asked import Asked
 from trueup.recording.format import Run
 from trueup.recording.guess import guess
-from trueup.recording.mapping import Part, SignalMapping, layout_of
+from trueup.recording.mapping import MAPPING_FILE, Part, SignalMapping, layout_of
 from trueup.recording.parts import RecordingPart, parts_of
-from trueup.recording.transcribe import origin_of
+from trueup.recording.transcribe import Origin, origins_of
 
 JOINT_STATE = "JointState"
 MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
-PLANT_FILE, MAPPING_FILE = "plant.json", "mapping.json"
+PLANT_FILE = "plant.json"
 Progress = Callable[[str, float], None]
 
 
@@ -92,14 +91,14 @@ def make_case(
     out.mkdir(parents=True, exist_ok=True)
     for earlier in out.glob("*.mcap"):  # of a case that was made here before
         earlier.unlink()
-    of = {id(run.recording): run for run in runs}
+    origins = origins_of(runs)
     parts = parts_of([run.recording for run in runs], mapping)
     paths = []
     for i, part in enumerate(parts):
         progress(f"writing episode {i + 1} of {len(parts)}", 0.1 + 0.5 * i / len(parts))
         to = out / f"{i}-{part.role}.mcap"
-        run = of[id(part.recording)]
-        paths.append(_write(run, part, mapping, layout, to, declared.stage))
+        run, origin = runs[part.index], origins[part.index]
+        paths.append(_write(run, part, mapping, layout, to, declared.stage, origin))
     progress("identifying a first model", 0.6)
     episodes = [_read(path, layout) for path in paths]
     document = _document(declared, layout, episodes, out)
@@ -107,7 +106,6 @@ def make_case(
     (out / MAPPING_FILE).write_text(json.dumps(mapping.document(), indent=1) + "\n")
     progress("looking for faults in the log", 0.9)
     plant = Plant.from_document(resolved(document, out))
-    again = [read_recording(path, plant) for path in paths]
     return MadeCase(
         out,
         document,
@@ -115,7 +113,7 @@ def make_case(
         Counter(e.role for e in episodes),
         runs[0].recording.role is not None,
         declared.stage,
-        examine(plant, again),
+        examine(plant, [replace(e, layout=plant.layout) for e in episodes]),
     )
 
 
@@ -128,7 +126,13 @@ def model_beside(path: Path) -> Path | None:
 
 
 def _write(
-    run: Run, part: RecordingPart, mapping: SignalMapping, layout: Layout, to: Path, stage: str
+    run: Run,
+    part: RecordingPart,
+    mapping: SignalMapping,
+    layout: Layout,
+    to: Path,
+    stage: str,
+    origin: Origin,
 ) -> Path:
     with of_file(run.path.name):
         if run.recording.role is not None:
@@ -136,7 +140,7 @@ def _write(
             return to
         conditions = {"stage": stage, "recording": run.part or run.path.name}
         with to.open("wb") as file:
-            part.write(file, mapping, layout, conditions, origin_of(run.path, run.part))
+            part.write(file, mapping, layout, conditions, origin)
     return to
 
 

@@ -91,16 +91,25 @@ def read_cdr(data: bytes) -> JointState:
     return JointState(seconds * 1_000_000_000 + nanoseconds, shape.names, values)
 
 
-def decode_cdr(
-    block: MessageBlock, messages: list[Message], channels: Sequence[Channel]
-) -> Columns:
-    """Columns of CDR messages, all at once where they share one structure. Raises NotAnEpisode."""
+def message_places(
+    block: MessageBlock, messages: Sequence[Message]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Where messages begin in their block, how long they are, and their log times [ns], `(n,)`
+    each. Raises NotAnEpisode where a time does not fit."""
     try:
         starts, lengths, log = np.array(messages, np.int64).reshape(-1, 3).T
     except OverflowError as error:
         raise NotAnEpisode(
             "a log time does not fit 64 bits", rule="clock", byte=block.byte
         ) from error
+    return starts, lengths, log
+
+
+def decode_cdr(
+    block: MessageBlock, messages: list[Message], channels: Sequence[Channel]
+) -> Columns:
+    """Columns of CDR messages, all at once where they share one structure. Raises NotAnEpisode."""
+    starts, lengths, log = message_places(block, messages)
     length = int(lengths[0])
     first = block.data[messages[0][0] : messages[0][0] + length]
     try:

@@ -52,6 +52,10 @@ class Columns:
     values: NDArray[np.float64]
 
 
+# what reading a message raises that is not what its topic says
+UNREADABLE = (ValueError, TypeError, LookupError, struct.error, AttributeError, OverflowError)
+
+
 def decode_each(
     block: MessageBlock,
     messages: Iterable[Message],
@@ -64,14 +68,7 @@ def decode_each(
         try:
             state = read(block.data[start : start + length])
             row = state.pick(channels)
-        except (
-            ValueError,
-            TypeError,
-            LookupError,
-            struct.error,
-            AttributeError,
-            OverflowError,
-        ) as error:
+        except UNREADABLE as error:
             raise NotAnEpisode(
                 f"a message is no JointState: {error}",
                 rule="message",
@@ -81,11 +78,23 @@ def decode_each(
         log.append(log_ns)
         stamps.append(state.stamp_ns)
         rows.append(row)
+    return as_columns(block, log, stamps, rows, len(channels))
+
+
+def as_columns(
+    block: MessageBlock,
+    log: Sequence[int],
+    stamps: Sequence[int],
+    rows: Sequence[Sequence[float]],
+    width: int,
+) -> Columns:
+    """Columns of rows that were read one by one, each of `width` values. Raises NotAnEpisode where
+    a time does not fit."""
     try:
         return Columns(
             np.array(log, np.int64),
             np.array(stamps, np.int64),
-            np.array(rows, np.float64).reshape(len(rows), len(channels)),
+            np.array(rows, np.float64).reshape(len(rows), width),
         )
     except OverflowError as error:
         raise NotAnEpisode(

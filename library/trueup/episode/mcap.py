@@ -25,7 +25,7 @@ from trueup.episode.clocks import doubts
 from trueup.episode.container import LIMITS, Limits, Metadata
 from trueup.episode.episode import Episode
 from trueup.episode.layout import Layout
-from trueup.episode.role import Role
+from trueup.episode.role import Role, role_named
 from trueup.episode.track import Gathering
 from trueup.episode.walk import Walk
 from trueup.errors import NotAnEpisode, TooLarge
@@ -124,7 +124,4 @@ def _role(records: Sequence[Metadata]) -> tuple[Role, dict[str, str]]:
             limit="conditions",
             byte=0,
         )
-    role = conditions.pop("role", "")
-    if role not in set(Role):
-        raise NotAnEpisode(f"the role {role!r} is none of {', '.join(Role)}", rule="role")
-    return Role(role), conditions
+    return role_named(conditions.pop("role", "")), conditions

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from enum import StrEnum
 
+from trueup.errors import NotAnEpisode
+
 
 class Role(StrEnum):
     """What an episode may be used for."""
@@ -15,6 +17,13 @@ class Role(StrEnum):
     REFERENCE = "reference"
     RETAINED = "retained"
     TELEMETRY = "telemetry"  # a live batch: watched, and never fitted or judged on
+
+
+def role_named(name: str) -> Role:
+    """The role of this name. Raises NotAnEpisode (rule `role`) where there is none."""
+    if name not in set(Role):
+        raise NotAnEpisode(f"the role {name!r} is none of {', '.join(Role)}", rule="role")
+    return Role(name)
 
 
 # of the test ladder: model, software, processor, hardware in the loop, and the machine

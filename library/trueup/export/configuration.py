@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import ceil, floor
 
 from trueup.export.joint_drive import Drives, Ranged
 
 DIGITS = 6  # of a number in a file
 WIDTH = 96
+GIVEN_UP = 1e-9  # of a step: rounding of a delay that is a whole number of them
 
 Value = Ranged | float | int | list[str] | tuple[str, ...] | None
 
@@ -51,6 +53,79 @@ def heading(drives: Drives, version: str, more: Sequence[str]) -> list[str]:
     for left in drives.left:
         lines += ["", *_wrapped(f"Not expressed: {left}.")]
     return lines
+
+
+def notes(drives: Drives, step_s: float) -> list[str]:
+    """What a simulator's file must say besides: what delays are counted in, and the springs that
+    its asset must hold."""
+    lines = [f"Delays are in physics steps of {1e3 * step_s:g} ms."]
+    springs = [f"{d.joint} {number(d['spring'].value)}" for d in drives.drives if d["spring"].value]
+    if springs:
+        lines.append(
+            "A passive spring acts beside the drive, which the asset must hold: "
+            f"{', '.join(springs)}."
+        )
+    return lines
+
+
+def delay_steps(delay: Ranged, step_s: float) -> tuple[int, int]:
+    """The fewest and the most steps of a delay [s]: its interval in whole steps, or the nearest one
+    where that is narrower than a step."""
+    if not delay.value:
+        return 0, 0
+    least, most = ceil(delay.low / step_s - GIVEN_UP), floor(delay.high / step_s + GIVEN_UP)
+    if least > most:
+        least = most = round(delay.value / step_s)
+    return least, most
+
+
+def python_module(
+    title: str,
+    docstring: Sequence[str],
+    imports: Sequence[str],
+    entries: Sequence[Entry],
+    action: str,
+    events: Iterable[str],
+) -> str:
+    """A Python module with ACTUATORS, ACTIONS and EVENTS. `docstring` follows its title;
+    `action` says what an action's scale and offset make."""
+    lines = [
+        f'"""{title}',
+        "",
+        *docstring,
+        '"""',
+        "",
+        *imports,
+        "",
+        *as_python("ACTUATORS", entries),
+        "",
+        f"# {action} is scale x command + offset",
+        *actions(entries),
+        "",
+        "# each draws its numbers from their 95 % intervals, at every reset",
+        "EVENTS = {",
+        *events,
+        "}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def event(name: str, function: str, params: Mapping[str, str]) -> Iterator[str]:
+    """A term of EVENTS that calls a function at every reset, as lines of Python; `params` are code
+    already."""
+    yield f"    {json.dumps(name)}: EventTermCfg("
+    yield f"        func={function},"
+    yield '        mode="reset",'
+    yield "        params={"
+    for argument, code in params.items():
+        yield f"            {json.dumps(argument)}: {code},"
+    yield "        },"
+    yield "    ),"
+
+
+def bounds(value: Ranged) -> str:
+    """The two ends of an interval, as Python."""
+    return f"({number(value.low)}, {number(value.high)})"
 
 
 def _wrapped(text: str) -> list[str]:

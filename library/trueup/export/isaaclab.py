@@ -1,7 +1,7 @@
 """Isaac Lab: actuator configurations, and events that randomise them over their intervals.
 
 A joint whose command is late becomes a DelayedPDActuatorCfg, one commanded by positions an
-ImplicitActuatorCfg, another an IdealPDActuatorCfg without gains, whose efforts are the action's.
+ImplicitActuatorCfg, another an IdealPDActuatorCfg of stiffness 0, whose efforts are the action's.
 Dry friction is an effort, as Isaac Sim 5 and later have it: `friction` at rest, `dynamic_friction`
 in motion. The damping of the joint stands in the drive, whose target speed is 0.
 Source: isaaclab 2.3, `isaaclab.actuators` and `isaaclab.envs.mdp.events`.
@@ -11,13 +11,24 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from math import ceil, floor
 
-from trueup.export.configuration import Entry, actions, as_python, as_yaml, heading, literal, number
-from trueup.export.joint_drive import Drives, JointDrive, Ranged
+from trueup.export.configuration import (
+    Entry,
+    as_yaml,
+    bounds,
+    delay_steps,
+    event,
+    heading,
+    literal,
+    notes,
+    number,
+    python_module,
+)
+from trueup.export.joint_drive import Drives, JointDrive
 
-MODULE = "isaaclab.actuators"
-GIVEN_UP = 1e-9  # of a step: rounding of a delay that is a whole number of them
+ACTION = (
+    "the effort, or the target position,"  # of a joint, that its action's scale and offset make
+)
 
 
 def entries(drives: Drives, step_s: float) -> list[Entry]:
@@ -59,94 +70,51 @@ def _limit_name(kind: str) -> str:
     return "effort_limit_sim" if kind == "ImplicitActuatorCfg" else "effort_limit"
 
 
-def delay_steps(delay: Ranged, step_s: float) -> tuple[int, int]:
-    """The fewest and the most steps of a delay [s]: its interval in whole steps, or the nearest one
-    where that is narrower than a step."""
-    if not delay.value:
-        return 0, 0
-    least, most = ceil(delay.low / step_s - GIVEN_UP), floor(delay.high / step_s + GIVEN_UP)
-    if least > most:
-        least = most = round(delay.value / step_s)
-    return least, most
-
-
 def python(drives: Drives, step_s: float, version: str) -> str:
     """A Python module with ACTUATORS, ACTIONS and EVENTS."""
     of = entries(drives, step_s)
-    kinds = ", ".join(sorted({e.kind for e in of}))
-    lines = [
-        '"""Actuators for Isaac Lab.',
-        "",
-        *heading(drives, version, _notes(drives, step_s)),
-        '"""',
-        "",
-        f"from {MODULE} import {kinds}",
-        "from isaaclab.envs import mdp",
-        "from isaaclab.managers import EventTermCfg, SceneEntityCfg",
-        "",
-        *as_python("ACTUATORS", of),
-        "",
-        "# the effort, or the target position, is scale x command + offset",
-        *actions(of),
-        "",
-        "# draws each number from its 95 % interval, at every reset",
-        "EVENTS = {",
-        *(line for d in drives.drives for line in _events(d)),
-        "}",
-    ]
-    return "\n".join(lines) + "\n"
+    return python_module(
+        "Actuators for Isaac Lab.",
+        heading(drives, version, notes(drives, step_s)),
+        [
+            f"from isaaclab.actuators import {', '.join(sorted({e.kind for e in of}))}",
+            "from isaaclab.envs import mdp",
+            "from isaaclab.managers import EventTermCfg, SceneEntityCfg",
+        ],
+        of,
+        ACTION,
+        (line for d in drives.drives for line in _events(d)),
+    )
 
 
-def _notes(drives: Drives, step_s: float) -> list[str]:
-    notes = [f"Delays are in physics steps of {1e3 * step_s:g} ms."]
-    springs = [d.joint for d in drives.drives if abs(d["spring"].value) > 0.0]
-    if springs:
-        values = ", ".join(
-            f"{d.joint} {number(d['spring'].value)}" for d in drives.drives if d["spring"].value
-        )
-        notes.append(
-            f"A passive spring acts beside the drive, which the asset must hold: {values}."
-        )
-    return notes
+# of each event of a joint its function in Isaac Lab, and what of a drive its arguments are
+EVENTS = {
+    "gains": ("randomize_actuator_gains", {"stiffness": "servo", "damping": "damping"}),
+    "joint": ("randomize_joint_parameters", {"friction": "breakaway", "armature": "armature"}),
+}
 
 
 def _events(drive: JointDrive) -> Iterator[str]:
-    asset = f'SceneEntityCfg("robot", joint_names=[{json.dumps(drive.joint)}])'
-    for name, function, ranges in (
-        ("gains", "randomize_actuator_gains", {"stiffness": "servo", "damping": "damping"}),
-        (
-            "joint",
-            "randomize_joint_parameters",
-            {"friction": "breakaway", "armature": "armature"},
-        ),
-    ):
-        given = {
-            argument: drive[number_]
-            for argument, number_ in ranges.items()
-            if not drive[number_].is_certain
+    for name, (function, arguments) in EVENTS.items():
+        drawn = {
+            f"{argument}_distribution_params": bounds(drive[of])
+            for argument, of in arguments.items()
+            if not drive[of].is_certain
         }
-        if given:
-            yield f"    {json.dumps(f'{drive.joint}_{name}')}: EventTermCfg("
-            yield f"        func=mdp.{function},"
-            yield '        mode="reset",'
-            yield "        params={"
-            yield f'            "asset_cfg": {asset},'
-            for argument, value in given.items():
-                bounds = f"({number(value.low)}, {number(value.high)})"
-                yield f'            "{argument}_distribution_params": {bounds},'
-            yield '            "operation": "abs",'
-            yield '            "distribution": "uniform",'
-            yield "        },"
-            yield "    ),"
+        if drawn:
+            asset = f'SceneEntityCfg("robot", joint_names=[{json.dumps(drive.joint)}])'
+            how = {"operation": '"abs"', "distribution": '"uniform"'}
+            params = {"asset_cfg": asset, **drawn, **how}
+            yield from event(f"{drive.joint}_{name}", f"mdp.{function}", params)
 
 
 def yaml(drives: Drives, step_s: float, version: str) -> str:
     """The actuators as YAML."""
     of = entries(drives, step_s)
     lines = [
-        *(f"# {line}".rstrip() for line in heading(drives, version, _notes(drives, step_s))),
+        *(f"# {line}".rstrip() for line in heading(drives, version, notes(drives, step_s))),
         *as_yaml("actuators", of),
-        "actions:  # the effort, or the target position, is scale x command + offset",
+        f"actions:  # {ACTION} is scale x command + offset",
         *(f"  {e.joint}: {{scale: {literal(e.scale)}, offset: {literal(e.offset)}}}" for e in of),
         "randomisation:  # 95 % intervals",
         *_yaml_ranges(drives),

@@ -71,6 +71,11 @@ class Ranged:
     low: float
     high: float
 
+    @staticmethod
+    def exactly(value: float) -> Ranged:
+        """A number whose interval is not known."""
+        return Ranged(value, value, value)
+
     @property
     def is_certain(self) -> bool:
         """Whether it has no width."""
@@ -79,8 +84,7 @@ class Ranged:
 
 @dataclass(frozen=True, slots=True)
 class JointDrive:
-    """The drive of one joint: NUMBERS by name, and whether it is commanded by positions. `joint` is
-    None where the plant does not name it."""
+    """The drive of one joint: NUMBERS by name, and whether it is commanded by positions."""
 
     joint: str
     commands_position: bool

@@ -11,8 +11,16 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 
-from trueup.export.configuration import Entry, Value, actions, as_python, heading, number
-from trueup.export.isaaclab import delay_steps
+from trueup.export.configuration import (
+    Entry,
+    Value,
+    bounds,
+    delay_steps,
+    event,
+    heading,
+    notes,
+    python_module,
+)
 from trueup.export.joint_drive import Drives, JointDrive
 
 UNLIMITED = 1e9  # MuJoCo's motor takes a limit
@@ -56,47 +64,24 @@ def _entry(drive: JointDrive, step_s: float) -> Entry:
 def python(drives: Drives, step_s: float, version: str) -> str:
     """A Python module with ACTUATORS, ACTIONS and EVENTS."""
     of = entries(drives, step_s)
-    kinds = ", ".join(sorted({e.kind for e in of}))
-    lines = [
-        '"""Actuators for mjlab.',
-        "",
-        *heading(drives, version, [f"Delays are in physics steps of {1e3 * step_s:g} ms."]),
-        '"""',
-        "",
-        f"from mjlab.actuator import {kinds}",
-        "from mjlab.envs.mdp import dr",
-        "from mjlab.managers.event_manager import EventTermCfg",
-        "from mjlab.managers.scene_entity_config import SceneEntityCfg",
-        "",
-        *as_python("ACTUATORS", of),
-        "",
-        "# the control is scale x command + offset",
-        *actions(of),
-        "",
-        "# draws each number from its 95 % interval, at every reset",
-        "EVENTS = {",
-        *(line for d in drives.drives for line in _events(d)),
-        "}",
-    ]
-    return "\n".join(lines) + "\n"
+    return python_module(
+        "Actuators for mjlab.",
+        heading(drives, version, notes(drives, step_s)),
+        [
+            f"from mjlab.actuator import {', '.join(sorted({e.kind for e in of}))}",
+            "from mjlab.envs.mdp import dr",
+            "from mjlab.managers.event_manager import EventTermCfg",
+            "from mjlab.managers.scene_entity_config import SceneEntityCfg",
+        ],
+        of,
+        "the control",
+        (line for d in drives.drives for line in _events(d)),
+    )
 
 
 def _events(drive: JointDrive) -> Iterator[str]:
-    asset = f'SceneEntityCfg("robot", joint_names=({json.dumps(drive.joint)},))'
-    for name, function, number_ in (
-        ("friction", "joint_friction", "friction"),
-        ("damping", "joint_damping", "damping"),
-        ("armature", "joint_armature", "armature"),
-    ):
-        value = drive[number_]
-        if value.is_certain:
-            continue
-        yield f"    {json.dumps(f'{drive.joint}_{name}')}: EventTermCfg("
-        yield f"        func=dr.{function},"
-        yield '        mode="reset",'
-        yield "        params={"
-        yield f'            "asset_cfg": {asset},'
-        yield f'            "ranges": ({number(value.low)}, {number(value.high)}),'
-        yield '            "operation": "abs",'
-        yield "        },"
-        yield "    ),"
+    for name in ("friction", "damping", "armature"):
+        if not drive[name].is_certain:
+            asset = f'SceneEntityCfg("robot", joint_names=({json.dumps(drive.joint)},))'
+            params = {"asset_cfg": asset, "ranges": bounds(drive[name]), "operation": '"abs"'}
+            yield from event(f"{drive.joint}_{name}", f"dr.joint_{name}", params)

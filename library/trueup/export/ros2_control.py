@@ -45,10 +45,10 @@ def _joint(drive: JointDrive, report: Mapping[str, Any] | None) -> Iterator[str]
         yield from _numbers({"breakaway": drive["breakaway"]})
     if drive["offset"].value:
         yield "      constant_feedforward:"
-        yield from _numbers({"force": Ranged(-drive["offset"].value, 0.0, 0.0)})
+        yield from _numbers({"force": Ranged.exactly(-drive["offset"].value)})
     yield "      command_scale:  # the command for a unit of force"
     gain = drive["gain"].value
-    yield from _numbers({"per_force": Ranged(1.0 / gain if gain else 0.0, 0.0, 0.0)})
+    yield from _numbers({"per_force": Ranged.exactly(1.0 / gain if gain else 0.0)})
     if drive["delay"].value:
         yield "      delay_prediction:  # predict the state over so long with the corrected model"
         yield from _numbers({"delay_s": drive["delay"]})
@@ -67,5 +67,5 @@ def _joint(drive: JointDrive, report: Mapping[str, Any] | None) -> Iterator[str]
 
 def _numbers(numbers: Mapping[str, Ranged]) -> Iterator[str]:
     for name, value in numbers.items():
-        remark = interval(value) if value.low < value.high else ""
+        remark = interval(value)
         yield f"        {name}: {number(value.value)}" + (f"  # {remark}" if remark else "")

@@ -11,24 +11,25 @@ from pathlib import Path
 from typing import Any
 
 from trueup.diagnose.case import read_case
+from trueup.diagnose.make_case import PLANT_FILE
 from trueup.doctor.examine import examine
 from trueup.doctor.finding import Finding
 from trueup.episode.episode import Episode
 from trueup.episode.layout import Layout
 from trueup.episode.mcap import read_episode
 from trueup.episode.role import Role
-from trueup.errors import BadMapping, NotAnEpisode
+from trueup.errors import NotAnEpisode
 from trueup.model.plant import Plant
-from trueup.notebook.models import FirstModel, NominalModel, Robot
+from trueup.notebook.models import FirstModel, NominalModel
 from trueup.recording.asked import Asked
 from trueup.recording.controllers import read_controllers
 from trueup.recording.format import open_runs
 from trueup.recording.guess import guess
 from trueup.recording.in_memory import table_recording
-from trueup.recording.mapping import SignalMapping, layout_of, read_mapping
+from trueup.recording.mapping import MAPPING_FILE, SignalMapping, layout_of, read_mapping
 from trueup.recording.parts import RecordingPart, parts_of
 from trueup.recording.recording import Clock, Recording
-from trueup.recording.transcribe import Origin, origin_of
+from trueup.recording.transcribe import Origin, origins_of
 
 IN_MEMORY = Origin("table in memory", "0" * 64)
 
@@ -117,8 +118,8 @@ class Case:
             tuple(names),
             read_controllers(Path(controllers)) if controllers is not None else {},
         )
-        origins = [origin_of(run.path, run.part) for run in runs]
-        return _made([r.recording for r in runs], origins, plant, asked, roles, stage, mapping)
+        recordings = [run.recording for run in runs]
+        return _made(recordings, origins_of(runs), plant, asked, roles, stage, mapping)
 
     @staticmethod
     def read(folder: str | PathLike[str]) -> Case:
@@ -133,9 +134,9 @@ class Case:
             raise NotAnEpisode("the case was read from a folder, which is it", rule="samples")
         to = Path(folder)
         to.mkdir(parents=True, exist_ok=True)
-        (to / "plant.json").write_text(json.dumps(dict(self.plant.document), indent=1) + "\n")
+        (to / PLANT_FILE).write_text(json.dumps(dict(self.plant.document), indent=1) + "\n")
         if self.mapping is not None:
-            (to / "mapping.json").write_text(json.dumps(self.mapping.document(), indent=1) + "\n")
+            (to / MAPPING_FILE).write_text(json.dumps(self.mapping.document(), indent=1) + "\n")
         for i, (episode, data) in enumerate(zip(self.episodes, self.files, strict=True)):
             (to / f"{i}-{episode.role}.mcap").write_bytes(data)
         return to
@@ -186,11 +187,8 @@ def _made(
         mapping = guess(recordings[0], asked, joints=model.joints)
     mapping.require(recordings[0])
     layout = layout_of(mapping, {})
-    if isinstance(model, Robot) and len(model.joints or ()) > 1 and len(layout.commands) < 1:
-        raise BadMapping("no joint of the robot is commanded", field="commands")
-    of = {id(r): origin for r, origin in zip(recordings, origins, strict=True)}
     files = [
-        _written(part, mapping, layout, stage, of[id(part.recording)])
+        _written(part, mapping, layout, stage, origins[part.index])
         for part in parts_of(recordings, mapping, roles)
     ]
     episodes = [read_episode(data, layout) for data in files]

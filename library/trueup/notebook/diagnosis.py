@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trueup import __version__
-from trueup.artifact.artifact import Artifact, pack
+from trueup.artifact.artifact import Artifact
 from trueup.artifact.model import Model, save
 from trueup.canonical import Json
 from trueup.diagnose import diagnosis as engine
@@ -146,14 +146,7 @@ class Diagnosis:
     @cached_property
     def artifact(self) -> Artifact:
         """The corrected model as an artifact, named by its digest."""
-        return pack(
-            self.engine.predictor,
-            {
-                "origin": "diagnosis",
-                "episodes": [e.digest for e in self.case.episodes],
-                "verdict": self.verdict,
-            },
-        )
+        return self.engine.artifact(self.case.episodes)
 
     @cached_property
     def model(self) -> Model:

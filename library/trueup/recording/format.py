@@ -12,7 +12,7 @@ from pathlib import Path
 from types import ModuleType
 
 from trueup.episode.container import LIMITS, Limits
-from trueup.errors import NotAnEpisode, NotInstalled, of_file
+from trueup.errors import NotAnEpisode, NotInstalled, TooLarge, of_file
 from trueup.recording import formats
 from trueup.recording.described import MEDIA_TYPES
 from trueup.recording.recording import Recording
@@ -90,6 +90,8 @@ def open_runs(path: Path, limits: Limits = LIMITS, media_type: str | None = None
             )
         return runs
     with of_file(path.name):
+        if path.is_file():
+            require_size(path, limits)
         recordings = format_of(path, media_type).recordings(path, limits)
     several = len(recordings) > 1
     return [Run(r, path, r.name if several else "") for r in recordings]
@@ -98,6 +100,17 @@ def open_runs(path: Path, limits: Limits = LIMITS, media_type: str | None = None
 def _readable(folder: Path) -> list[Path]:
     suffixes = tuple(s for f in known_formats() for s in f.suffixes)
     return sorted(p for p in folder.iterdir() if p.is_file() and p.name.endswith(suffixes))
+
+
+def require_size(path: Path, limits: Limits) -> None:
+    """Raises TooLarge where a file has more bytes than are allowed."""
+    size = path.stat().st_size
+    if size > limits.file_bytes:
+        raise TooLarge(
+            f"{path.name} has {size} bytes, {limits.file_bytes} are allowed",
+            limit="file_bytes",
+            byte=0,
+        )
 
 
 def optional(module: str, extra: str, what: str) -> ModuleType:

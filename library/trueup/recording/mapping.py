@@ -27,6 +27,7 @@ from trueup.errors import BadMapping
 from trueup.recording.recording import TABLE, Clock, Recording, Wanted
 
 SCHEMA = "trueup.mapping/1"
+MAPPING_FILE = "mapping.json"  # of a case folder
 MOST_LISTED = 40  # signals in a message
 
 

@@ -6,14 +6,14 @@ depends on its topic's encoding alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.episode.container import MessageBlock, Topic
+from trueup.episode.container import Loose, MessageBlock, Topic
 from trueup.episode.joint_state import Columns
 from trueup.errors import NotAnEpisode, NotInstalled
 from trueup.recording.recording import Clock, Recording, Signal, Span, Stream, Wanted
@@ -23,6 +23,22 @@ from trueup.recording.topic_reader import UNREADABLE, TopicReader, topic_reader
 Block = tuple[Mapping[int, Topic], MessageBlock]
 Blocks = Callable[[], Iterator[Block]]
 LOOKED_AT = 50  # messages of a topic: several nodes may publish joints of their own on it
+BLOCK_BYTES = 1 << 20  # of messages that are read together
+
+
+def gathered(
+    topics: Mapping[int, Topic], messages: Iterable[tuple[int, int, bytes]]
+) -> Iterator[Block]:
+    """Messages, each with its topic's id and its log time [ns], as blocks; reading them may add to
+    `topics`."""
+    loose = Loose()
+    for topic, log_ns, data in messages:
+        loose.add(topic, data, log_ns, 0)
+        if loose.size >= BLOCK_BYTES:
+            yield topics, loose.block()
+            loose = Loose()
+    if loose.size:
+        yield topics, loose.block()
 
 
 class MessageRecording(Recording):

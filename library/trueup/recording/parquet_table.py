@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from trueup.episode.container import Limits
 from trueup.errors import MalformedRecording, TooLarge
-from trueup.recording.format import optional
+from trueup.recording.format import optional, require_size
 
 BLOCK_ROWS = 65536
 MOST_COLUMNS, LIST_ENTRIES = 4096, 256
@@ -112,12 +112,7 @@ class ParquetTable:
         return np.asarray(values.to_numpy(zero_copy_only=False))
 
     def _opened(self, path: Path) -> Any:
-        if path.stat().st_size > self._limits.file_bytes:
-            raise TooLarge(
-                f"{path.name} has more than {self._limits.file_bytes} bytes",
-                limit="file_bytes",
-                byte=0,
-            )
+        require_size(path, self._limits)
         try:
             return self._parquet.ParquetFile(path, memory_map=False, pre_buffer=False)
         except (OSError, ValueError) as error:

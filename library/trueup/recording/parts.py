@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import BinaryIO
 
 from trueup.episode.layout import Layout
-from trueup.episode.role import Role
+from trueup.episode.role import Role, role_named
 from trueup.errors import NotAnEpisode
 from trueup.recording.mapping import Part, SignalMapping
 from trueup.recording.recording import Recording
@@ -18,10 +18,11 @@ HELD_OUT = 0.3  # share of what was recorded
 
 @dataclass(frozen=True, slots=True)
 class RecordingPart:
-    """A recording from one log time on and before another [ns], that becomes an episode of a
-    role."""
+    """A recording, by its `index` among those that it came with, from one log time on and before
+    another [ns], that becomes an episode of a role."""
 
     recording: Recording
+    index: int
     role: Role
     begin_ns: int | None = None
     end_ns: int | None = None
@@ -58,8 +59,8 @@ def parts_of(
         span = recordings[0].span(mapping.of(Part.OBSERVATIONS)[0].stream, mapping.clock)
         cut = span.last_ns - int(HELD_OUT * (span.last_ns - span.first_ns))
         return [
-            RecordingPart(recordings[0], Role.ADAPTATION, None, cut),
-            RecordingPart(recordings[0], Role.VALIDATION, cut, None),
+            RecordingPart(recordings[0], 0, Role.ADAPTATION, None, cut),
+            RecordingPart(recordings[0], 0, Role.VALIDATION, cut, None),
         ]
     held_out = max(1, round(HELD_OUT * len(recordings)))
     usual = [
@@ -71,12 +72,6 @@ def parts_of(
             f"{len(roles)} roles are given for {len(recordings)} recordings", rule="role"
         )
     return [
-        RecordingPart(r, _role(str(role)))
-        for r, role in zip(recordings, roles or usual, strict=True)
+        RecordingPart(r, at, role_named(str(role)))
+        for at, (r, role) in enumerate(zip(recordings, roles or usual, strict=True))
     ]
-
-
-def _role(name: str) -> Role:
-    if name not in set(Role):
-        raise NotAnEpisode(f"the role {name!r} is none of {', '.join(Role)}", rule="role")
-    return Role(name)

@@ -14,7 +14,7 @@ import orjson
 
 from trueup.episode.container import LIMITS, MAGIC, Limits
 from trueup.episode.layout import Layout
-from trueup.episode.role import Role
+from trueup.episode.role import Role, role_named
 from trueup.errors import BadMapping, NotAnEpisode
 from trueup.recording.archive import unpacked
 from trueup.recording.described import MEDIA_TYPES, Described
@@ -63,9 +63,7 @@ def _role(described: Described) -> Role:
             rule="role",
             hint=f"Send the query parameter role, one of {', '.join(Role)}.",
         )
-    if described.role not in set(Role):
-        raise NotAnEpisode(f"the role {described.role!r} is none of {', '.join(Role)}", rule="role")
-    return Role(described.role)
+    return role_named(described.role)
 
 
 def _part(runs: list[Run], part: str | None) -> Run:
@@ -90,11 +88,10 @@ def _mapping(run: Run, layout: Layout, described: Described) -> SignalMapping:
         return read_mapping(described.mapping)
     mapping = guess(run.recording, layout=layout)
     if any("signal" in s.guessed for s in mapping.sources) or mapping.clock_guessed:
-        document = mapping.document()
         raise BadMapping(
-            f"it is guessed {'; '.join(mapping.guesses)}",
+            f"names alone do not decide; guessed are {'; '.join(mapping.guesses)}",
             field="mapping",
             hint="Send this mapping, or a corrected one, as the query parameter mapping.",
-            mapping=orjson.dumps(document).decode(),
+            mapping=orjson.dumps(mapping.document()).decode(),
         )
     return mapping

@@ -7,7 +7,6 @@ structure of its own. JSON and protobuf are read message by message.
 
 from __future__ import annotations
 
-import struct
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,24 +16,17 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from trueup.episode.cdr import ROS2_NAMES
+from trueup.episode import joint_state
+from trueup.episode.cdr import ROS2_NAMES, message_places
 from trueup.episode.container import Message, MessageBlock, Topic
-from trueup.episode.joint_state import Columns
+from trueup.episode.joint_state import Columns, as_columns
 from trueup.errors import NotAnEpisode
 from trueup.recording.cdr_tree import CdrMessage, Spot, read_message
 from trueup.recording.message_tree import Numbers, rows_of
 from trueup.recording.recording import Signal
 from trueup.recording.ros_types import JOINT_STATE, Types, defined, known, normalised
 
-UNREADABLE = (
-    ValueError,
-    TypeError,
-    LookupError,
-    struct.error,
-    AttributeError,
-    OverflowError,
-    RecursionError,
-)
+UNREADABLE = (*joint_state.UNREADABLE, RecursionError)
 NS_PER_S = 1_000_000_000
 MOST_STRUCTURES = 32  # of one block of messages that are read as matrices
 
@@ -110,7 +102,7 @@ class _EachMessage(TopicReader):
                     values.append([_value(row, name) for name in wanted])
             except UNREADABLE as error:
                 raise unreadable(self.topic, block, log_ns, error) from error
-        return _as_columns(block, log, stamps, values, len(wanted))
+        return as_columns(block, log, stamps, values, len(wanted))
 
 
 def _ns(parts: tuple[Any, Any] | None) -> int:
@@ -120,21 +112,6 @@ def _ns(parts: tuple[Any, Any] | None) -> int:
 def _value(row: Numbers, name: str) -> float:
     held = row.signals.get(name)
     return float("nan") if held is None else float(held[1])
-
-
-def _as_columns(
-    block: MessageBlock, log: list[int], stamps: list[int], values: list[list[float]], width: int
-) -> Columns:
-    try:
-        return Columns(
-            np.array(log, np.int64),
-            np.array(stamps, np.int64),
-            np.array(values, np.float64).reshape(len(values), width),
-        )
-    except OverflowError as error:
-        raise NotAnEpisode(
-            "a time stamp does not fit 64 bits", rule="clock", byte=block.byte
-        ) from error
 
 
 def unreadable(
@@ -190,12 +167,7 @@ class _CdrMessages(TopicReader):
     def columns(
         self, block: MessageBlock, messages: Sequence[Message], wanted: Sequence[str]
     ) -> Columns:
-        try:
-            starts, lengths, log = np.array(messages, np.int64).reshape(-1, 3).T
-        except OverflowError as error:
-            raise NotAnEpisode(
-                "a log time does not fit 64 bits", rule="clock", byte=block.byte
-            ) from error
+        starts, lengths, log = message_places(block, messages)
         data = np.frombuffer(block.data, np.uint8)
         parts: list[tuple[NDArray[np.int64], Columns]] = []
         for length in np.unique(lengths):

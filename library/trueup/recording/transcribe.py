@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -26,6 +26,7 @@ from trueup.episode.layout import Channel, Layout
 from trueup.episode.mcap import EPISODE_RECORD, SOURCE_RECORD
 from trueup.episode.role import Role
 from trueup.errors import BadMapping
+from trueup.recording.format import Run
 from trueup.recording.mapping import Part, SignalMapping, Source, matched
 from trueup.recording.recording import Recording
 
@@ -162,14 +163,20 @@ def _topic(name: str, pairs: Sequence[tuple[Channel, Source]], mapping: SignalMa
     )
 
 
-def origin_of(path: Path, part: str = "") -> Origin:
+def origin_of(path: Path) -> Origin:
     """The origin that a file is, or a folder: of a folder the digest is that of its files'
     digests by their names."""
     if path.is_file():
-        return Origin(path.name, _sha256(path), part)
+        return Origin(path.name, _sha256(path))
     files = sorted(p for p in path.rglob("*") if p.is_file())
     digests = {p.relative_to(path).as_posix(): _sha256(p) for p in files}
-    return Origin(path.name, digest_of(digests), part)
+    return Origin(path.name, digest_of(digests))
+
+
+def origins_of(runs: Sequence[Run]) -> list[Origin]:
+    """The origin of each run; a file or folder of several runs is hashed once."""
+    paths = {path: origin_of(path) for path in dict.fromkeys(run.path for run in runs)}
+    return [replace(paths[run.path], part=run.part) for run in runs]
 
 
 def _sha256(path: Path) -> str:

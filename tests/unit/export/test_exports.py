@@ -164,7 +164,7 @@ def test_what_no_drive_holds_is_listed(tmp_path):
 
 
 def test_a_delay_becomes_the_steps_that_its_interval_holds():
-    from trueup.export.isaaclab import delay_steps
+    from trueup.export.configuration import delay_steps
     from trueup.export.joint_drive import Ranged
 
     assert delay_steps(Ranged(0.02, 0.0178, 0.0223), 0.005) == (4, 4)

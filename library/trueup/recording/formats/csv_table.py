@@ -40,10 +40,6 @@ class Csv(Format):
         return path.is_file() and (path.suffix in self.suffixes or _is_text(head))
 
     def recordings(self, path: Path, limits: Limits) -> Sequence[TableRecording]:
-        if path.stat().st_size > limits.file_bytes:
-            raise TooLarge(
-                f"{path.name} has more than {limits.file_bytes} bytes", limit="file_bytes", byte=0
-            )
         form = _form(path)
 
         def blocks(names: Sequence[str]) -> Iterator[Mapping[str, NDArray[Any]]]:

@@ -33,10 +33,6 @@ class Hdf5(Format):
         return head.startswith(MAGIC) or (path.is_file() and path.suffix in self.suffixes)
 
     def recordings(self, path: Path, limits: Limits) -> Sequence[TableRecording]:
-        if path.stat().st_size > limits.file_bytes:
-            raise TooLarge(
-                f"{path.name} has more than {limits.file_bytes} bytes", limit="file_bytes", byte=0
-            )
         runs: dict[str, dict[str, _Column]] = {}
         with _opened(path) as file:
             for name, dataset in _datasets(file, path):

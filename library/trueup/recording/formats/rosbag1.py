@@ -6,13 +6,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from trueup.episode.container import Limits, Loose, Schema, Topic
+from trueup.episode.container import Limits, Schema, Topic
 from trueup.errors import MalformedRecording, NotAnEpisode, TooLarge
 from trueup.recording.format import Format, optional
-from trueup.recording.messages import Block, MessageRecording
+from trueup.recording.messages import Block, MessageRecording, gathered
 
 MAGIC = b"#ROSBAG V2.0"
-BLOCK_BYTES = 1 << 20
 
 
 class RosBag1(Format):
@@ -25,16 +24,13 @@ class RosBag1(Format):
         return head.startswith(MAGIC) or path.suffix == ".bag"
 
     def recordings(self, path: Path, limits: Limits) -> Sequence[MessageRecording]:
-        if path.stat().st_size > limits.file_bytes:
-            raise TooLarge(
-                f"{path.name} has more than {limits.file_bytes} bytes", limit="file_bytes", byte=0
-            )
         reader = optional("rosbags.rosbag1", "ros", "a ROS 1 bag").Reader
 
         def blocks() -> Iterator[Block]:
             try:
                 with reader(path) as bag:
-                    yield from _blocks(bag)
+                    topics: dict[int, Topic] = {}
+                    yield from gathered(topics, _messages(bag, topics))
             except (NotAnEpisode, TooLarge):
                 raise
             except Exception as error:  # the reader's errors share no public base
@@ -45,20 +41,14 @@ class RosBag1(Format):
         return [MessageRecording(path.stem, self.name, blocks)]
 
 
-def _blocks(bag: Any) -> Iterator[Block]:
-    topics: dict[int, Topic] = {}
-    loose = Loose()
+def _messages(bag: Any, topics: dict[int, Topic]) -> Iterator[tuple[int, int, bytes]]:
+    """Every message: its connection, time [ns] and data; `topics` gets each connection's topic."""
     for connection, timestamp, data in bag.messages():
         if connection.id not in topics:
             text = str(connection.msgdef.data).encode()
             schema = Schema(connection.id + 1, connection.msgtype, "ros1msg", text)
             topics[connection.id] = Topic(connection.id, schema, connection.topic, "ros1", {})
-        loose.add(connection.id, data, timestamp, 0)
-        if loose.size >= BLOCK_BYTES:
-            yield topics, loose.block()
-            loose = Loose()
-    if loose.size:
-        yield topics, loose.block()
+        yield connection.id, timestamp, data
 
 
 FORMAT = RosBag1()

@@ -8,17 +8,16 @@ Source: rosbag2_storage_sqlite3, schema versions 1 to 4 (2026).
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from trueup.episode.container import Limits, Loose, Schema, Topic
+from trueup.episode.container import Limits, Schema, Topic
 from trueup.errors import MalformedRecording, NotAnEpisode, TooLarge
-from trueup.recording.format import Format
-from trueup.recording.messages import Block, MessageRecording
+from trueup.recording.format import Format, require_size
+from trueup.recording.messages import Block, MessageRecording, gathered
 
 MAGIC = b"SQLite format 3\0"
-BLOCK_BYTES = 1 << 20
 COLUMNS = {"topics": {"id", "name", "type"}, "messages": {"topic_id", "timestamp", "data"}}
 METADATA_FILE = "metadata.yaml"
 
@@ -56,37 +55,35 @@ def _number(path: Path) -> tuple[int, str]:
 
 
 def _blocks(file: Path, limits: Limits, part: int) -> Iterator[Block]:
-    if file.stat().st_size > limits.file_bytes:
-        raise TooLarge(
-            f"{file.name} has {file.stat().st_size} bytes, {limits.file_bytes} are allowed",
-            limit="file_bytes",
-            byte=0,
-        )
+    require_size(file, limits)
     with _opened(file) as bag:
         by_number = _topics(bag, part * limits.channels, limits)
-        topics, loose = {t.id: t for t in by_number.values()}, Loose()
-        rows = bag.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY id")
-        for index, (number, timestamp, data) in enumerate(rows):
-            topic = by_number.get(number) if isinstance(number, int) else None
-            if topic is None or not isinstance(timestamp, int) or not isinstance(data, bytes):
-                raise MalformedRecording(
-                    f"message {index} of {file.name} names no topic, time or bytes",
-                    rule="known",
-                    index=index,
-                )
-            if len(data) > limits.record_bytes or index >= limits.records:
-                raise TooLarge(
-                    f"message {index} has {len(data)} bytes; {limits.records} messages of "
-                    f"{limits.record_bytes} bytes are allowed",
-                    limit="record_bytes" if index < limits.records else "records",
-                    byte=0,
-                )
-            loose.add(topic.id, data, timestamp, 0)
-            if loose.size >= BLOCK_BYTES:
-                yield topics, loose.block()
-                loose = Loose()
-        if loose.size:
-            yield topics, loose.block()
+        topics = {t.id: t for t in by_number.values()}
+        yield from gathered(topics, _messages(bag, by_number, file, limits))
+
+
+def _messages(
+    bag: sqlite3.Connection, topics: Mapping[int, Topic], file: Path, limits: Limits
+) -> Iterator[tuple[int, int, bytes]]:
+    """Every message with its topic's id and its time [ns]; `topics` by their number in the bag.
+    Raises MalformedRecording, TooLarge."""
+    rows = bag.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY id")
+    for index, (number, timestamp, data) in enumerate(rows):
+        topic = topics.get(number) if isinstance(number, int) else None
+        if topic is None or not isinstance(timestamp, int) or not isinstance(data, bytes):
+            raise MalformedRecording(
+                f"message {index} of {file.name} names no topic, time or bytes",
+                rule="known",
+                index=index,
+            )
+        if len(data) > limits.record_bytes or index >= limits.records:
+            raise TooLarge(
+                f"message {index} has {len(data)} bytes; {limits.records} messages of "
+                f"{limits.record_bytes} bytes are allowed",
+                limit="record_bytes" if index < limits.records else "records",
+                byte=0,
+            )
+        yield topic.id, timestamp, data
 
 
 @contextmanager
