@@ -26,9 +26,8 @@ from trueup.export.configuration import (
 )
 from trueup.export.joint_drive import Drives, JointDrive
 
-ACTION = (
-    "the effort, or the target position,"  # of a joint, that its action's scale and offset make
-)
+# What an action's scale and offset make of its command
+ACTION = "the effort, or the target position,"
 
 
 def entries(drives: Drives, step_s: float) -> list[Entry]:
