@@ -27,7 +27,7 @@ from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.measure import closed_on
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
-from trueup.model.mjcf import resolved
+from trueup.model.nominal_form import resolved
 from trueup.model.plant import Plant
 
 PERIOD_S, FINE, SECONDS, HORIZON_S = 0.004, 16, 5.0, 0.5

@@ -18,7 +18,7 @@ from trueup.episode.episode import Episode
 from trueup.episode.mcap import read_episode
 from trueup.fit.score import rollout_rms
 from trueup.gate.recompute import differences
-from trueup.model.mjcf import resolved
+from trueup.model.nominal_form import resolved
 from trueup.model.predictor import Predictor, predict_episode
 from trueup.model.windows import starts_every
 from trueup_cli.embedded_service import embedded_service

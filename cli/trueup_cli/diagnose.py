@@ -13,7 +13,8 @@ from trueup.diagnose.case import read_case
 from trueup.diagnose.diagnosis import Diagnosis, diagnose
 from trueup.diagnose.figures import figures
 from trueup.diagnose.report import COMMAND_FILE
-from trueup.diagnose.summary_text import sentence, warnings
+from trueup.diagnose.summary_text import sentence
+from trueup.diagnose.summary_warnings import warnings
 from trueup.episode.episode import Episode
 from trueup.model.mjcf_writer import write as write_corrected
 from trueup.randomise.supported import RANDOMISATION_FILE, supported_ranges

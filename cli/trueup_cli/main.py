@@ -206,20 +206,30 @@ for _name, (_target, _help, _codes) in _COMMANDS.items():
     )
 
 
-def _load_own_effects() -> None:
-    """Loads the files that TRUEUP_EFFECTS names, before any effect is compiled."""
-    from trueup.model.effect import load_effect
+def _load_own_files() -> None:
+    """Loads the files that TRUEUP_EFFECTS and TRUEUP_SIMULATORS name, before any effect is
+    compiled."""
+    effects, simulators = (
+        list(filter(None, os.environ.get(name, "").split(os.pathsep)))
+        for name in ("TRUEUP_EFFECTS", "TRUEUP_SIMULATORS")
+    )
+    if effects:
+        from trueup.model.effect import load_effect
 
-    for file in filter(None, os.environ["TRUEUP_EFFECTS"].split(os.pathsep)):
-        load_effect(file)
+        for file in effects:
+            load_effect(file)
+    if simulators:
+        from trueup.model.simulator import load_simulator
+
+        for file in simulators:
+            load_simulator(file)
 
 
 def main() -> None:
     """Runs a command, and exits with one of the codes in `trueup_cli.exits`."""
     try:
         try:
-            if os.environ.get("TRUEUP_EFFECTS"):
-                _load_own_effects()
+            _load_own_files()
             app()
         finally:
             sys.stdout.flush()

@@ -25,7 +25,7 @@ def register(file: Path, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> N
     file
         plant.json, or a folder that holds one
     """
-    from trueup.model.mjcf import resolved
+    from trueup.model.nominal_form import resolved
 
     description = file / "plant.json" if file.is_dir() else file
     plant = connect(url).register_plant(

@@ -25,7 +25,8 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rich.table import Table
 from rich.text import Span, Text
 
-from trueup.diagnose.summary_text import sentence, warnings
+from trueup.diagnose.summary_text import sentence
+from trueup.diagnose.summary_warnings import warnings
 
 # in a pipe, lines are not broken at a terminal's width
 out = Console(highlight=False, soft_wrap=not sys.stdout.isatty())

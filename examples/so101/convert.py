@@ -15,7 +15,7 @@ import numpy as np
 
 from trueup.episode.role import Role
 from trueup.episode.writer import write_episode
-from trueup.model.mjcf import resolved
+from trueup.model.nominal_form import resolved
 from trueup.model.plant import Plant
 
 HERE = Path(__file__).parent

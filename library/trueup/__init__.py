@@ -12,11 +12,19 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from trueup.artifact.model import Model, load
     from trueup.model.effect import load_effect
+    from trueup.model.simulator import load_simulator
     from trueup.notebook.case import Case
     from trueup.notebook.compare import Comparison, compare
     from trueup.notebook.diagnosis import Diagnosis, diagnose
     from trueup.notebook.excitations import Experiment, excite
-    from trueup.notebook.models import FirstModel, Inertia, Oscillator, Pendulum, Robot
+    from trueup.notebook.models import (
+        FirstModel,
+        Inertia,
+        Oscillator,
+        Pendulum,
+        Robot,
+        Simulator,
+    )
     from trueup.notebook.trials import BlindTrial, blind_trial
 
 __all__ = [
@@ -31,12 +39,14 @@ __all__ = [
     "Oscillator",
     "Pendulum",
     "Robot",
+    "Simulator",
     "blind_trial",
     "compare",
     "diagnose",
     "excite",
     "load",
     "load_effect",
+    "load_simulator",
 ]
 __version__ = "0.1.0"
 
@@ -44,6 +54,7 @@ _MODULES = {
     "Model": "trueup.artifact.model",
     "load": "trueup.artifact.model",
     "load_effect": "trueup.model.effect",
+    "load_simulator": "trueup.model.simulator",
     "BlindTrial": "trueup.notebook.trials",
     "Case": "trueup.notebook.case",
     "Comparison": "trueup.notebook.compare",
@@ -58,6 +69,7 @@ _MODULES = {
     "Oscillator": "trueup.notebook.models",
     "Pendulum": "trueup.notebook.models",
     "Robot": "trueup.notebook.models",
+    "Simulator": "trueup.notebook.models",
 }
 
 

@@ -9,6 +9,7 @@
     ├── BadPlant                 plant.json breaks a rule, at a field
     ├── BadMapping               a mapping of signals to channels breaks a rule, at a field
     ├── BadEffect                an effect from outside breaks a rule, or is not at hand
+    ├── BadSimulator             a user's step function breaks a rule, or is not at hand
     ├── BadRandomisation         a family of plants breaks a rule, at a field
     ├── NotInstalled             an optional part of the installation is needed
     ├── NotExportable            this model has no form in what was asked for
@@ -120,6 +121,13 @@ class BadEffect(TrueupError):
 
     code = "bad-effect"
     hint = "docs/effects.md shows an effect of your own; `trueup effects --laws` checks it."
+
+
+class BadSimulator(TrueupError):
+    """The simulator cannot be a nominal model."""
+
+    code = "bad-simulator"
+    hint = "docs/simulators.md says what a step function takes and returns."
 
 
 class BadRandomisation(TrueupError):

@@ -11,7 +11,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from trueup.diagnose import summary_text
+from trueup.diagnose import summary_text, summary_warnings
 from trueup_pages import drawing
 from trueup_pages.assets import text_of, url_of
 from trueup_pages.timeline import timeline
@@ -39,6 +39,7 @@ def _environment() -> Environment:
         inlined=lambda name: Markup(text_of(name)),
         drawing=drawing,
         words=summary_text,
+        warnings_of=summary_warnings.warnings,
         timeline=timeline,
     )
     return environment

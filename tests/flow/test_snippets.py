@@ -27,7 +27,7 @@ from trueup.chapter.data import PLANT as CHAPTER
 from trueup.episode.mcap import read_episode
 from trueup.episode.role import Role
 from trueup.gate.decision import Gate
-from trueup.model.mjcf import resolved
+from trueup.model.nominal_form import resolved
 from trueup.model.plant import Plant
 from trueup.model.predictor import Nominal
 from trueup.randomise.randomisation import Randomisation

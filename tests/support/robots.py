@@ -9,7 +9,8 @@ import numpy as np
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.model.mjcf import mujoco as engine
-from trueup.model.mjcf import resolved, tree_of
+from trueup.model.mjcf import tree_of
+from trueup.model.nominal_form import resolved
 from trueup.model.plant import Plant
 from trueup.simulate.robot import RobotMachine
 

@@ -20,7 +20,8 @@ from trueup.model.corrected import Corrected
 from trueup.model.effect import Effect, Port
 from trueup.model.hypothesis import Hypothesis, Scales, switches
 from trueup.model.plant import Plant
-from trueup.model.series import DECLARED, Scheme, Series, roll, whole
+from trueup.model.roll import roll
+from trueup.model.series import DECLARED, Scheme, Series, whole
 
 Array = NDArray[np.float64]
 SAMPLES, PERIOD_S = 400, 0.02

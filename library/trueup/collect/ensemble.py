@@ -17,7 +17,8 @@ from trueup.model.block import BLOCK, joint, kind
 from trueup.model.corrected import Corrected
 from trueup.model.hypothesis import Hypothesis, switches
 from trueup.model.plant import Plant
-from trueup.model.series import Scheme, refined, roll, unobserved
+from trueup.model.roll import roll
+from trueup.model.series import Scheme, refined, unobserved
 
 Array = NDArray[np.float64]
 TWO_SIDED = 1.96  # standard deviations of a 95 % interval

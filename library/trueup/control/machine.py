@@ -22,7 +22,8 @@ from trueup.model.corrected import Corrected
 from trueup.model.hypothesis import switches
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor
-from trueup.model.series import roll, unobserved
+from trueup.model.roll import roll
+from trueup.model.series import unobserved
 
 Array = NDArray[np.float64]
 # the first that there is stands in for the machine; the nominal model last, for it is in question

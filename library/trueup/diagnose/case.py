@@ -9,7 +9,7 @@ import orjson
 from trueup.episode.episode import Episode
 from trueup.episode.mcap import read_episode_stream
 from trueup.errors import BadPlant, NotAnEpisode, of_file
-from trueup.model.mjcf import resolved
+from trueup.model.nominal_form import resolved
 from trueup.model.plant import Plant
 
 

@@ -24,6 +24,7 @@ from trueup.model.corrected import Corrected
 from trueup.model.dynamics import CompiledTree, Dynamics
 from trueup.model.effect import Effect, Number, Scale, effects
 from trueup.model.plant import Plant
+from trueup.model.simulated import SimulatedDynamics
 from trueup.model.tree import SLIDE
 
 Array = NDArray[np.float64]
@@ -68,6 +69,14 @@ def _force_units(_: Dynamics, joint: int, q: str) -> tuple[str, list[str]]:
 def _of_tree(dynamics: CompiledTree, joint: int, q: str) -> tuple[str, list[str]]:
     slides = bool(dynamics.tree.constants[joint, SLIDE])
     q, force = q or ("m" if slides else "rad"), "N" if slides else "N·m"
+    return q, [force, f"{force} s^2/{q}^2", f"{force}/{q}^3", f"{force}/{q}", f"{force} s/{q}"]
+
+
+@_force_units.register
+def _of_simulator(dynamics: SimulatedDynamics, joint: int, q: str) -> tuple[str, list[str]]:
+    """A simulator's forces are in its own unit, which for a joint in rad or m is taken to be SI."""
+    force = {"m": "N", "rad": "N·m"}.get(q, "force")
+    q = q or "1"
     return q, [force, f"{force} s^2/{q}^2", f"{force}/{q}^3", f"{force}/{q}", f"{force} s/{q}"]
 
 
@@ -186,9 +195,10 @@ def _limits(
     return [spans["", name] for name in directions.names]
 
 
-@_limits.register
-def _limits_of_tree(
-    _: CompiledTree,
+@_limits.register(CompiledTree)
+@_limits.register(SimulatedDynamics)
+def _limits_of_some(
+    _: Dynamics,
     plant: Plant,
     directions: Directions,
     minima: Sequence[RolloutFit],

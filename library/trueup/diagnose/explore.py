@@ -145,7 +145,7 @@ class _Exploration:
     def _schemes(self) -> list[Scheme]:
         """The schemes of integration, the likelier first; commands whose hold nobody declared as
         the refitted nominal form explains the episodes best."""
-        schemes = [refined(self.recordings.plant), DECLARED]
+        schemes = list(dict.fromkeys([refined(self.recordings.plant), DECLARED]))
         if self.strategy.physical:
             schemes = schemes[:1]  # a machine has no step
         elif is_quiet(self.quality):

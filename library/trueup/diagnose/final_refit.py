@@ -3,7 +3,7 @@ leaves no mark on its estimates."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from trueup.diagnose.search_problem import SearchProblem
 from trueup.diagnose.tuning import SEARCH
 from trueup.diagnose.windowed_fits import WindowedFits, observed_starts
 from trueup.fit.rollout_fit import RolloutFit
-from trueup.model.series import Scheme, series
+from trueup.model.series import Scheme, on_finer_steps, series
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ def final_refit(recordings: Recordings, problem: SearchProblem, best: Candidate)
         return FinalRefit(best, scheme, best.fit)
     finer = scheme
     if scheme.alpha and strategy.thorough:
-        finer = replace(scheme, parts=SEARCH.finer_steps * scheme.parts)
+        finer = on_finer_steps(recordings.plant, scheme, SEARCH.finer_steps)
     shortens = not strategy.robot and not strategy.physical
     refits: list[Candidate] = []
     for part in SEARCH.shortened if shortens else SEARCH.shortened[:1]:

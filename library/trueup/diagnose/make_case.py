@@ -24,7 +24,8 @@ from trueup.episode.mcap import read_episode
 from trueup.episode.role import Role
 from trueup.errors import BadPlant, of_file
 from trueup.fit.first_model import describe, describe_robot
-from trueup.model.mjcf import compile_file, resolved
+from trueup.model.mjcf import compile_file
+from trueup.model.nominal_form import resolved
 from trueup.model.plant import Plant
 from trueup.recording.asked import Asked
 from trueup.recording.format import Run

@@ -145,15 +145,17 @@ def windows_of(
 
 def by_channel(predictor: Predictor, windows: Sequence[Windows], motion: Array) -> Array:
     """Mean squared normalised error of each window and observed channel, `(windows, channels)`."""
-    return np.concatenate([_of_episode(predictor, w, motion) for w in windows])
+    plant = predictor.plant
+    rolled = zip(predictor.rollouts(windows), windows, strict=True)
+    return np.concatenate([_of_episode(plant, states, w, motion) for states, w in rolled])
 
 
-def _of_episode(predictor: Predictor, windows: Windows, motion: Array) -> Array:
-    plant, episode = predictor.plant, windows.episode
+def _of_episode(plant: Plant, states: Array, windows: Windows, motion: Array) -> Array:
+    episode = windows.episode
     with np.errstate(over="ignore", invalid="ignore"):
-        missed = (
-            plant.observe(predictor.rollout(windows)) - episode.observations[windows.rows]
-        ) / motion[plant.state_columns]
+        missed = (plant.observe(states) - episode.observations[windows.rows]) / motion[
+            plant.state_columns
+        ]
         missed = np.clip(
             np.nan_to_num(missed, nan=RAN_AWAY, posinf=RAN_AWAY, neginf=RAN_AWAY),
             -RAN_AWAY,

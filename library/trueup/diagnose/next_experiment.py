@@ -32,7 +32,8 @@ from trueup.model.block import BLOCK, joint, kind
 from trueup.model.block import term as term_at
 from trueup.model.hypothesis import switches
 from trueup.model.plant import Plant
-from trueup.model.series import Series, integral_of, roll, unobserved
+from trueup.model.roll import roll
+from trueup.model.series import Series, integral_of, unobserved
 
 Array = NDArray[np.float64]
 SHAPES = ("sine", "square", "ramp and hold", "chirp")

@@ -121,7 +121,12 @@ class Recordings:
         """Terms that are found by fitting the plant, but those that a logged effort denies."""
         denied = {t for w in self.witnesses for t in w.denied}
         terms = searchable([bool(c >= 0) for c in self.plant.command_columns])
-        return [t for t in terms if t not in denied]
+        pushes = self.plant.dynamics.takes_force
+        return [
+            t
+            for t in terms
+            if t not in denied and (pushes or kind(t).port not in (Port.FORCE, Port.FRICTION))
+        ]
 
     @cached_property
     def witnesses(self) -> list[Witness]:

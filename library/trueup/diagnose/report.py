@@ -137,10 +137,19 @@ def report(
             "misfit": _finite(choice.winner.reduced_chi_square),
             "unexplained": choice.left,
             **({"not_simulated": _left_out(plant)} if plant.family == "mjcf" else {}),
+            **(_of_simulator(plant, search) if plant.family == "simulator" else {}),
             "seed": seed,
             "version": trueup.__version__,
         },
     }
+
+
+def _of_simulator(plant: Plant, search: Search) -> dict[str, Json]:
+    """Whether effects at the port of forces could not be tried, and which numbers stay as declared,
+    for the recordings show them only together with others."""
+    shown = search.problem.fitter.directions.determined
+    kept: list[Json] = [n for n, is_shown in zip(plant.nominal, shown, strict=True) if not is_shown]
+    return {"no_force": not plant.dynamics.takes_force, "kept_as_declared": kept}
 
 
 def _nearest(plant: Plant, choice: Choice) -> Json:

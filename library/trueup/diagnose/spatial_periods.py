@@ -26,6 +26,7 @@ from trueup.fit.base_parameters import columns
 from trueup.model.dynamics import CompiledFamily, Dynamics
 from trueup.model.plant import Plant
 from trueup.model.rounding import GUESS_BITS, rounded
+from trueup.model.simulated import SimulatedDynamics
 from trueup.model.state import smoothed_states
 from trueup.model.tree import GAIN, JOINT, LINK, OFFSET
 
@@ -152,7 +153,8 @@ def _rows(
 
 @singledispatch
 def _family_numbers(_: Dynamics, plant: Plant, sizes: Array) -> list[float]:
-    """The numbers of a family among what was regressed; none of a robot."""
+    """The numbers of a family among what was regressed; none of a robot or a simulator, of which
+    some may stay as declared."""
     return []
 
 
@@ -192,3 +194,14 @@ def _own_terms_of_family(
 ) -> tuple[Array, Array]:
     q, v, a, u = motion
     return np.column_stack(dynamics.family.regressors(q[:, 0], v[:, 0], u[:, 0])), a[:, 0]
+
+
+@_own_terms.register
+def _own_terms_of_simulator(
+    dynamics: SimulatedDynamics, plant: Plant, joint: int, motion: Motion
+) -> tuple[Array, Array]:
+    q, v, a, u = motion
+    numbers, states = np.array(plant.parameters), np.column_stack([q, v])
+    slopes = dynamics.slopes(numbers, states, u)
+    own = dynamics.acceleration(numbers, q[:, 0], v[:, 0], u[:, 0])
+    return slopes, a[:, 0] - own + slopes @ numbers

@@ -14,6 +14,7 @@ from functools import singledispatch
 from trueup.diagnose.model_selection import SelectionCriteria
 from trueup.model.dynamics import CompiledFamily, CompiledTree, Dynamics
 from trueup.model.plant import Plant
+from trueup.model.simulated import SimulatedDynamics
 
 MANY_JOINTS = 4  # from so many on, a fit takes so long that fewer are made
 PAIR = 2  # effects
@@ -88,8 +89,9 @@ def _strategy(dynamics: Dynamics, _: SelectionCriteria) -> Strategy:
     raise TypeError(type(dynamics).__name__)
 
 
-@_strategy.register
-def _of_joint(_: CompiledFamily, criteria: SelectionCriteria) -> Strategy:
+@_strategy.register(CompiledFamily)
+@_strategy.register(SimulatedDynamics)
+def _of_joint(_: Dynamics, criteria: SelectionCriteria) -> Strategy:
     return Strategy(
         effort=ONE_JOINT,
         robot=False,

@@ -23,7 +23,8 @@ from trueup.fit.multiple_shooting import estimate_starts
 from trueup.fit.rollout_fit import RolloutFit, Start
 from trueup.model.block import BLOCK, Memory, kind
 from trueup.model.hypothesis import Hypothesis, switches
-from trueup.model.series import Scheme, Series, roll
+from trueup.model.roll import roll
+from trueup.model.series import Scheme, Series
 
 Numbers = list[tuple[str, str]]  # (term, number) pairs
 

@@ -22,6 +22,7 @@ from trueup.fit.base_parameters import columns as tree_columns
 from trueup.model.dynamics import CompiledFamily, CompiledTree, Dynamics
 from trueup.model.plant import Plant
 from trueup.model.series import positions_and_velocities
+from trueup.model.simulated import SimulatedDynamics
 from trueup.model.tree import DAMPING, GAIN, JOINT, LINK, OFFSET, SERVO, STIFFNESS
 
 Array = NDArray[np.float64]
@@ -199,6 +200,18 @@ def _sides_of_family(
         factors[:, order],
         ["command", *(names[i] for i in order[1:])],
     )
+
+
+@_sides.register
+def _sides_of_simulator(
+    dynamics: SimulatedDynamics, plant: Plant, data: Averages, joint: int
+) -> tuple[Array, Array, list[str]]:
+    """Acceleration, and what the nominal simulator gives of it by the command and without."""
+    q, v, u = data.q[:, joint], data.v[:, joint], data.u[:, joint]
+    numbers = np.array(plant.parameters)
+    passive = dynamics.acceleration(numbers, q, v, np.zeros_like(u))
+    driven = dynamics.acceleration(numbers, q, v, u) - passive
+    return data.a[:, joint], np.column_stack([driven, passive]), ["command", "passive"]
 
 
 @_sides.register

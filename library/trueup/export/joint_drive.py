@@ -2,7 +2,8 @@
 95 % intervals, and what no configuration can hold.
 
 A family is one joint per unit of inertia: its numbers become forces by the inertia that a user
-gives, 1 where nobody does. A robot's are forces already. The interval of a number that several
+gives, 1 where nobody does, and so do those of a simulator that takes no force. A simulator's are
+those of its motion near rest, a robot's are forces already. The interval of a number that several
 unknown ones make is that of independent errors, to first order.
 """
 
@@ -28,6 +29,7 @@ from trueup.model.effect import effects
 from trueup.model.mjcf_patch import Left
 from trueup.model.plant import Plant
 from trueup.model.predictor import Physical, Predictor
+from trueup.model.simulated import SimulatedDynamics
 from trueup.model.tree import (
     ARMATURE,
     DAMPING,
@@ -44,6 +46,7 @@ from trueup.model.tree import (
 
 Array = NDArray[np.float64]
 TWO_SIDED = 1.96  # standard deviations of a 95 % interval
+NEAR_REST = 1e-3  # of a unit of position, velocity and command: a simulator's slopes
 NUDGE = 0.5  # standard deviations to either side, for derivatives
 # What a drive holds, in newton metres or newtons, seconds, and the joint's own unit.
 NUMBERS = (
@@ -113,7 +116,7 @@ class Drives:
     @property
     def is_of_a_family(self) -> bool:
         """Whether forces are per unit of inertia, where no inertia was given."""
-        return isinstance(self.plant.dynamics, CompiledFamily)
+        return self.plant.form.per_inertia
 
 
 def drives_of(
@@ -206,6 +209,39 @@ def _of_tree(dynamics: CompiledTree, plant: Plant, inertia: float | None) -> _Re
             hint="Leave --inertia out: it is for one joint of a family.",
         )
     return _Robot(dynamics)
+
+
+@_reader.register
+def _of_simulator(dynamics: SimulatedDynamics, plant: Plant, inertia: float | None) -> _Reader:
+    if inertia is not None and dynamics.takes_force:
+        raise NotExportable(
+            "the simulator takes forces, which say what its inertia is",
+            hint="Leave --inertia out: it is for one joint of a family.",
+        )
+    return _Simulator(dynamics, plant, 1.0 if inertia is None else inertia)
+
+
+class _Simulator(_Reader):
+    """A simulator's joint as it moves near rest: what its command does, and how velocity and, of a
+    servo, position hold it back. What else it does is the target's own model's."""
+
+    def __init__(self, dynamics: SimulatedDynamics, plant: Plant, inertia: float) -> None:
+        self._dynamics, self._count = dynamics, len(plant.parameters)
+        self._is_servo = plant.layout.commands[0].field is Field.POSITION
+        self._size = float(dynamics.form.sizes[0]) * inertia
+
+    def numbers(self, values: Array, j: int) -> dict[str, float]:
+        ends = np.array([1.0, -1.0]) * NEAR_REST
+        zero = np.zeros(2)
+        a = [
+            self._dynamics.acceleration(values[: self._count], *motion)
+            for motion in ((ends, zero, zero), (zero, ends, zero), (zero, zero, ends))
+        ]
+        by_q, by_v, by_u = (self._size * float(x[0] - x[1]) / (2.0 * NEAR_REST) for x in a)
+        return {"gain": by_u, "damping": -by_v, "servo": -by_q if self._is_servo else 0.0}
+
+    def size(self, j: int) -> float:
+        return self._size
 
 
 class _Family(_Reader):

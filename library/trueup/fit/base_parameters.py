@@ -23,6 +23,7 @@ from trueup.fit.free_numbers import STEP, Directions
 from trueup.model.dynamics import CompiledTree, Dynamics
 from trueup.model.plant import Plant
 from trueup.model.rounding import GUESS_BITS, rounded
+from trueup.model.simulated import SimulatedDynamics
 from trueup.model.state import smoothed_states
 from trueup.model.tree import (
     ARMATURE,
@@ -47,6 +48,7 @@ SPAN_S = 0.05
 MOST_ROWS = 4000
 FELT = 2e-3  # of the forces: a combination that moves them less by its own size is not shown
 FELT_ON_MACHINE = 5e-2  # the same where no law is much more exact than that
+SHOWN_BESIDE = 1e-4  # of what a simulator's number does: less is what those before it do
 POSES = 50  # of an episode are looked at
 LIGHTEST = 0.9  # of what a joint's links weigh may be missing from its inertia
 ALONE = 0.999  # of a number lies in the combinations that are shown: it is determined by itself
@@ -61,6 +63,36 @@ def directions(plant: Plant, episodes: Sequence[Episode]) -> Directions:
 @singledispatch
 def _directions(dynamics: Dynamics, plant: Plant, episodes: Sequence[Episode]) -> Directions:
     return Directions.of_family(dynamics.parameter_names)
+
+
+@_directions.register
+def _of_simulator(
+    dynamics: SimulatedDynamics, plant: Plant, episodes: Sequence[Episode]
+) -> Directions:
+    """A simulator's numbers by themselves, as far as the motion shows them: of those that show only
+    together, as an inertia and all that acts on it, the last by name stays as declared."""
+    numbers = np.array(plant.parameters)
+    size = np.where(numbers != 0.0, np.abs(numbers), 1.0)
+    q, v, _, u = (np.concatenate(m) for m in zip(*(_moments(plant, e) for e in episodes)))  # noqa: B905
+    every = -(-len(q) // MOST_ROWS)
+    states = np.column_stack([q, v])[::every]
+    design = dynamics.slopes(numbers, states, u[::every]) * size
+    left, alone = design.copy(), list[int]()
+    for i in range(len(numbers)):
+        length = np.linalg.norm(left[:, i])
+        if length > SHOWN_BESIDE * np.linalg.norm(design[:, i]):
+            alone.append(i)
+            way = left[:, i] / length
+            left = left - np.outer(way, way @ left)
+    return Directions(
+        tuple(dynamics.parameter_names[i] for i in alone),
+        along=np.eye(len(numbers))[alone],
+        determined=np.isin(np.arange(len(numbers)), alone),
+        alone=np.array(alone, np.int64),
+        steps=STEP * size[alone],
+        low=np.full(len(alone), -np.inf),
+        nominal=np.zeros(len(numbers)),
+    )
 
 
 @_directions.register

@@ -13,14 +13,18 @@ from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
 from trueup.fit.base_parameters import directions, recorded_poses, regression
+from trueup.fit.free_numbers import STEP
 from trueup.fit.least_squares import solve
 from trueup.fit.transitions import Transitions, transitions
 from trueup.model.dynamics import CompiledFamily, CompiledTree, Dynamics
 from trueup.model.limits import unsaturated
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified
+from trueup.model.simulated import SimulatedDynamics
 from trueup.model.tree import OFFSET
 
+GAUSS_NEWTON = 10  # steps: a simulator's numbers may enter in any way
+SAME_NUMBERS = 1e-9  # of their sizes: a step that changes nothing
 WORST_CONDITION = 1e6  # of the scaled design: beyond this half of float64's digits are gone
 
 
@@ -100,11 +104,7 @@ def _identify_family(
     design, target = _regression(dynamics, plant, data)
     names = plant.dynamics.parameter_names
     if len(target) <= len(names):
-        raise NotIdentifiable(
-            f"{len(target)} steps are too few to identify {len(names)} parameters and their "
-            "uncertainty",
-            hint="Record longer episodes.",
-        )
+        raise _too_few(len(target), len(names))
     solution = solve(design, target, data.span)
     if solution.rank < len(names) or solution.condition > WORST_CONDITION:
         raise NotIdentifiable(
@@ -141,6 +141,50 @@ def _regression(
     spans = data.sums(data.h_s)
     design = data.sums(np.stack(regressors, axis=1) * data.h_s[:, None]) / spans[:, None]
     return design, data.sums(data.after[:, joints] - data.states[:, joints]) / spans
+
+
+@_identify.register
+def _identify_simulator(
+    dynamics: SimulatedDynamics,
+    plant: Plant,
+    episodes: Sequence[Episode],
+    progress: Callable[[float], None],
+) -> tuple[Identified, Identification]:
+    """A simulator's numbers, as far as its motion shows them, by Gauss and Newton's method on the
+    mean acceleration over each step."""
+    data, ways = transitions(plant, episodes), directions(plant, episodes)
+    states, u = data.states, plant.applied(data.issued)
+    spans, values = data.sums(data.h_s), np.array(plant.parameters)
+    target = data.sums(data.after[:, 1] - data.states[:, 1]) / spans
+    if len(target) <= len(ways.names):
+        raise _too_few(len(target), len(ways.names))
+    sizes = ways.steps / STEP
+    for i in range(GAUSS_NEWTON):
+        slopes = dynamics.slopes(values, states, u)[:, ways.alone]
+        own = dynamics.acceleration(values, states[:, 0], states[:, 1], u[:, 0])
+        design = data.sums(slopes * data.h_s[:, None]) / spans[:, None] * sizes
+        solution = solve(design, target - data.sums(own * data.h_s) / spans, data.span)
+        values[ways.alone] += sizes * solution.values
+        progress((i + 1) / GAUSS_NEWTON)
+        if np.abs(solution.values).max() < SAME_NUMBERS:
+            break
+    numbers = map(float, values[ways.alone])
+    return Identified(plant, tuple(float(x) for x in values)), Identification(
+        dict(zip(ways.names, numbers, strict=True)),
+        dict(zip(ways.names, map(float, sizes * solution.half_widths), strict=True)),
+        solution.rank,
+        solution.condition,
+        solution.residual_rms,
+        len(target),
+        (),
+    )
+
+
+def _too_few(steps: int, numbers: int) -> NotIdentifiable:
+    return NotIdentifiable(
+        f"{steps} steps are too few to identify {numbers} parameters and their uncertainty",
+        hint="Record longer episodes.",
+    )
 
 
 @_identify.register

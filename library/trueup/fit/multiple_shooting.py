@@ -20,8 +20,9 @@ from trueup.fit.rollout_fit import TWO_SIDED, RolloutFit, Start
 from trueup.fit.rollouts import START_STEP, Rollouts
 from trueup.model.block import BLOCK
 from trueup.model.hypothesis import Hypothesis, switches
+from trueup.model.roll import roll_each
 from trueup.model.rounding import rounded
-from trueup.model.series import Series, roll
+from trueup.model.series import RolloutOf, Series
 
 Array = NDArray[np.float64]
 TOLERANCE = 1e-4  # of the cost: a smaller decrease ends the estimate
@@ -121,22 +122,31 @@ def best_of_scattered(
         ladder = reach[state] * CLOSER ** np.arange(sizes)
         around = slice(1 + 2 * sizes * i, 1 + 2 * sizes * (i + 1))
         lanes[around, state] = np.concatenate([ladder, -ladder])
-    chosen = {}
-    for s in data:
-        start = starts[s.digest]
-        p = rollouts.repeated(values, start)
-        init = start.windows[:, :, None] + lanes.T
-        on = switches(hypothesis, rollouts.joints)
-        out = roll(s, rollouts.form, p, on, init, starts=BLOCK - 1)
+    asked = [
+        RolloutOf(
+            s,
+            rollouts.repeated(values, starts[s.digest]),
+            starts[s.digest].windows[:, :, None] + lanes.T,
+            starts=BLOCK - 1,
+        )
+        for s in data
+    ]
+
+    def chosen_of(i: int, out: Array) -> Start:
+        s, start = data[i], starts[data[i].digest]
         with np.errstate(over="ignore", invalid="ignore"):
-            costs = rollouts.errors(s, hypothesis, p[:, 0]).costs(out, len(init))
+            errors = rollouts.errors(s, hypothesis, asked[i].p[:, 0])
+            costs = errors.costs(out, len(start.windows))
             costs = np.nan_to_num(costs, nan=RAN_AWAY, posinf=RAN_AWAY)
         best = np.argmin(rounded(costs), axis=1)
         of_a_sample = costs[:, 0].sum() / max(rollouts.samples([s]), 1)
         better = costs[:, 0] - costs.min(axis=1) > max(1.0, of_a_sample)
         by = np.where(better[:, None], lanes[best], 0.0)
-        chosen[s.digest] = replace(start, windows=start.windows + by)
-    return chosen
+        return replace(start, windows=start.windows + by)
+
+    on = switches(hypothesis, rollouts.joints)
+    chosen = roll_each(rollouts.form, on, asked, chosen_of)
+    return {s.digest: start for s, start in zip(data, chosen, strict=True)}
 
 
 def _with_steps(

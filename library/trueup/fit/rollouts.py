@@ -13,23 +13,22 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.cores import in_parallel
 from trueup.fit.free_numbers import CORNER_STEP, STEP, Directions, Free
 from trueup.fit.held_starts import held_starts
-from trueup.fit.lanes import Lanes, Task
+from trueup.fit.lanes import LaidOut, Lanes, Task
 from trueup.fit.normal_equations import Errors, KeptDerivatives, NormalEquations
 from trueup.fit.rollout_fit import Start
 from trueup.model.block import BLOCK, joint, kind
 from trueup.model.dynamics import Form
 from trueup.model.effect import Port, Scale
 from trueup.model.hypothesis import Hypothesis, Scales, begun, switches
-from trueup.model.series import Series, roll, seen_by
+from trueup.model.roll import roll_each
+from trueup.model.series import Series, seen_by
 
 Array = NDArray[np.float64]
 MEMORY_STEP = 1e-3  # of its scale: the finite difference of a hidden state's past
@@ -283,7 +282,7 @@ class Rollouts:
         for i, (lane, which) in enumerate(zip(of, numbers, strict=False)):
             row, size = task.free.rows[which], task.free.step[which]
             if 0 <= row < self.block.nominal and not self.of_tree:
-                size *= 1.0 if task.free.central else max(1.0, abs(values[row]))
+                size = size if task.free.central else max(size, STEP * abs(values[row]))
             elif row >= 0:
                 size = -size if values[row] + size > task.free.high[which] else size
             task.free.nudge(p[:, lane], which, size)
@@ -312,8 +311,25 @@ class Rollouts:
         play has none.
         """
         several = (lanes.p.shape[1] > BLOCK or self.of_tree) and len(task.data) > 1
-        work = partial(self._sums_of, task, lanes, starts=starts, pasts=pasts, old=old)
-        by_episode = list((in_parallel if several else map)(work, task.data))
+        asked = [
+            LaidOut.of(
+                lanes,
+                s,
+                starts[s.digest],
+                pasts,
+                self.block,
+                usual=self.start_steps,
+                keeps=task.keeps,
+            )
+            for s in task.data
+        ]
+        by_episode = roll_each(
+            self.form,
+            switches(task.hypothesis, self.joints),
+            [laid_out.rollout(old is None) for laid_out in asked],
+            lambda i, out: self._sums_of(task, lanes, asked[i], out, old),
+            in_threads=several,
+        )
         linear = {
             s.digest: part
             for s, (_, part, _) in zip(task.data, by_episode, strict=True)
@@ -327,53 +343,29 @@ class Rollouts:
         )
 
     def _sums_of(
-        self,
-        task: Task,
-        lanes: Lanes,
-        s: Series,
-        starts: Mapping[str, Start],
-        pasts: Mapping[tuple[str, str], tuple[int, float]],
-        old: Derivatives | None,
+        self, task: Task, lanes: Lanes, at: LaidOut, out: Array, old: Derivatives | None
     ) -> tuple[Array, KeptDerivatives | None, Array]:
-        """Sums of outer products of one episode, its derivatives that may be kept, and what each
-        lane costs."""
-        on, inverse = switches(task.hypothesis, self.joints), lanes.inverse.copy()
-        block, start = lanes.p.copy(), starts[s.digest]
-        errors = self.errors(s, task.hypothesis, block[:, 0])
-        for key, value in start.memory.items():
-            block[self.block.memories[key]] += value
-        for key, (lane, size) in pasts.items():
-            inwards = -size if start.memory.get(key, 0.0) > 0.0 else size
-            block[self.block.memories[key], lane] += inwards
-            inverse[lane] = 1.0 / inwards
-        init = np.repeat(start.windows[:, :, None], block.shape[1], axis=2)
+        """Sums of outer products of one episode's rollout, its derivatives that may be kept, and
+        what each lane costs."""
+        errors = self.errors(at.series, task.hypothesis, lanes.p[:, 0])
         if old is not None:
-            out = roll(s, self.form, block, on, init)
-            return errors.renewed(out, inverse, lanes.of, old[s.digest]), old[s.digest], np.zeros(0)
-        steps = (
-            np.broadcast_to(self.start_steps, start.windows.shape)
-            if start.steps is None or task.keeps
-            else start.steps
-        )
-        for state in range(lanes.starts):
-            init[:, state, 1 + state] += steps[:, state]
-        out = roll(s, self.form, block, on, init, starts=lanes.starts)
+            kept_before = old[at.series.digest]
+            return errors.renewed(out, at.inverse, lanes.of, kept_before), kept_before, np.zeros(0)
         columns = np.concatenate([lanes.of, 1 + np.arange(lanes.starts)])
-        sums = errors.summed(out, inverse, columns, lanes.against, len(init))
-        if steps is start.steps:
-            per = np.concatenate(
-                [np.ones((len(steps), 1 + len(lanes.of))), self.start_steps / steps], axis=1
-            )
+        sums = errors.summed(out, at.inverse, columns, lanes.against, len(at.init))
+        if at.own_steps:
+            ones = np.ones((len(at.steps), 1 + len(lanes.of)))
+            per = np.concatenate([ones, self.start_steps / at.steps], axis=1)
             sums *= per[:, :, None] * per[:, None, :]
         kept = (
-            errors.kept(out, inverse, columns, sums, task.keeps, len(lanes.of) + 1)
+            errors.kept(out, at.inverse, columns, sums, task.keeps, len(lanes.of) + 1)
             if task.keeps
             else None
         )
         return (
             sums,
             kept,
-            errors.costs(out, len(init)).sum(axis=0) if task.free.central else np.zeros(0),
+            errors.costs(out, len(at.init)).sum(axis=0) if task.free.central else np.zeros(0),
         )
 
     def errors(self, s: Series, hypothesis: Hypothesis, values: Array) -> Errors:

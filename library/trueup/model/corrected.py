@@ -26,15 +26,17 @@ from trueup.model.hypothesis import Hypothesis, switches
 from trueup.model.joint_step import Joint
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor
+from trueup.model.roll import roll, roll_each
 from trueup.model.series import (
     DECLARED,
+    RolloutOf,
     Scheme,
     Series,
     positions_and_velocities,
-    roll,
     unobserved,
     whole,
 )
+from trueup.model.simulated import SimulatedDynamics
 from trueup.model.state import past_states
 from trueup.model.velocity_prior import VelocityPrior
 from trueup.model.windows import Windows
@@ -84,26 +86,30 @@ class Corrected(Predictor):
     def hold(self, states: Array, issued: Array, steps: int) -> Array:
         return _hold(self.plant.dynamics, self, states, issued, steps)
 
-    def compiled_hold(self, state: Array, applied: Array, t_s: Array) -> Array:
-        """States `(samples, states)` at times `t_s` from one `(states,)` on under one applied
-        command, compiled, with what effects remember meanwhile; what delays a command has none
-        before it to show."""
-        acting = Hypothesis(
+    @property
+    def acting(self) -> Hypothesis:
+        """The effects that change the state under a held command: neither delays nor sensors."""
+        return Hypothesis(
             tuple(
                 t
                 for t in self.hypothesis.effects
                 if not kind(t).delays() and kind(t).port is not Port.OBSERVATION
             )
         )
+
+    def compiled_hold(self, state: Array, applied: Array, t_s: Array) -> Array:
+        """States `(samples, states)` at times `t_s` from one `(states,)` on under one applied
+        command, compiled, with what effects remember meanwhile; what delays a command has none
+        before it to show."""
         commands = np.tile(applied, (len(t_s), 1))
         s = unobserved(self.scheme, t_s, commands, self.plant.command_scales, float(t_s[1]))
-        return self._rolled(s, state, acting)
+        return self._rolled(s, state, self.acting)
 
     def _rolled(self, s: Series, initial: Array, hypothesis: Hypothesis) -> Array:
         """States `(samples, states)` of a series from one state on, compiled."""
         init = np.repeat(initial[None, :, None], BLOCK, axis=2)
         on = switches(hypothesis, len(self.plant.joints))
-        return np.asarray(roll(s, self.plant.form, self._lanes(), on, init)[:, :, 0])
+        return np.asarray(roll(s, self.plant.form, self.lanes(), on, init)[:, :, 0])
 
     def run(self, initial: Array, issued: Array) -> Array:
         plant = self.plant
@@ -113,6 +119,19 @@ class Corrected(Predictor):
         return self._rolled(s, initial, self.hypothesis)
 
     def rollout(self, windows: Windows) -> Array:
+        return self.rollouts([windows])[0]
+
+    def rollouts(self, windows: Sequence[Windows]) -> list[Array]:
+        on = switches(self.hypothesis, len(self.plant.joints))
+        asked = [self._rollout_of(w) for w in windows]
+
+        def in_windows(i: int, out: Array) -> Array:
+            return np.asarray(out[windows[i].rows][:, :, :, 1])
+
+        return roll_each(self.plant.form, on, asked, in_windows)
+
+    def _rollout_of(self, windows: Windows) -> RolloutOf:
+        """What is asked of an episode: to start each window from the filter of its past."""
         plant, joints = self.plant, len(self.plant.joints)
         series = whole(plant, windows.episode, self.scheme, windows.first, windows.initial)
         first = np.nan_to_num(past_states(plant, windows.episode, slice(1)))
@@ -120,10 +139,10 @@ class Corrected(Predictor):
             first[0, 1] = self.known.velocity(first[0, 0], series.issued[0, 0])
         init = np.repeat(first[:, :, None], BLOCK, axis=2)
         gain = np.array(self.gain or ((0.0,) * 8 * joints,)).reshape(-1, joints, 4, 2)
-        out = roll(series, plant.form, self._lanes(), switches(self.hypothesis, joints), init, gain)
-        return np.asarray(out[windows.rows][:, :, :, 1])
+        return RolloutOf(series, self.lanes(), init, gain)
 
-    def _lanes(self) -> Array:
+    def lanes(self) -> Array:
+        """The block's vector in every lane, `(rows, BLOCK)`."""
         return np.repeat(np.array(self.values)[:, None], BLOCK, axis=1)
 
     def description(self) -> dict[str, Json]:
@@ -253,3 +272,33 @@ def _hold_family(
     _: CompiledFamily, model: Corrected, states: Array, issued: Array, steps: int
 ) -> Array:
     return Predictor.hold(model, states, issued, steps)
+
+
+@_advance.register
+def _advance_simulator(
+    _: SimulatedDynamics, model: Corrected, states: Array, applied: Array, span: Array
+) -> Array:
+    return _side_by_side(model, states, applied, span, 1)[:, 0]
+
+
+@_hold.register
+def _hold_simulator(
+    _: SimulatedDynamics, model: Corrected, states: Array, issued: Array, steps: int
+) -> Array:
+    applied, span = model.plant.applied(issued), np.full(len(states), model.plant.timestep_s)
+    return _side_by_side(model, states, applied, span, steps)
+
+
+def _side_by_side(
+    model: Corrected, states: Array, applied: Array, span: Array, steps: int
+) -> Array:
+    """States `(n, steps, states)` after each of some steps of `span` [s] `(n,)`, each from its own
+    state, under a command of its own, and with hidden states as they begin."""
+    asked = []
+    for state, u, h in zip(states, applied, span, strict=True):
+        t_s = np.asarray(np.arange(steps + 1) * float(h), np.float64)
+        commands = np.tile(u, (steps + 1, 1))
+        s = unobserved(model.scheme, t_s, commands, model.plant.command_scales, float(h))
+        asked.append(RolloutOf(s, model.lanes(), np.repeat(state[None, :, None], BLOCK, axis=2)))
+    on = switches(model.acting, 1)
+    return np.stack(roll_each(model.plant.form, on, asked, lambda _, out: out[1:, :, 0]))

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from trueup.model.block import BLOCK, Block
 from trueup.model.effect import effects
 from trueup.model.family import Family, families
+from trueup.model.simulator import Simulator
 from trueup.model.tree import (
     FRICTION,
     GAIN,
@@ -40,22 +41,28 @@ TREE_FORM = -1  # the number of a tree, where a family has its own
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """What the compiled rollout reads of a nominal model.
+    """What a rollout reads of a nominal model.
 
     `block` is how its parameters lie; `family` a family's number, -1 for a tree; `tree` `(joints,
     TREE)`; `sizes` `(joints,)` the inertia by which an effect's forces are divided, so that they
-    are accelerations for every maker.
+    are accelerations for every maker. A `simulator` of the user's own is rolled out in numpy.
     """
 
     block: Block
     family: int
     tree: Array
     sizes: Array
+    simulator: Simulator | None = None
 
     @property
     def of_tree(self) -> bool:
         """Whether it is a robot's tree, and not one joint of a family."""
         return self.family == TREE_FORM
+
+    @property
+    def per_inertia(self) -> bool:
+        """Whether forces are accelerations: of a family, and of a simulator that takes none."""
+        return not self.of_tree and (self.simulator is None or not self.simulator.takes_force)
 
 
 class Dynamics(ABC):
@@ -112,6 +119,11 @@ class Dynamics(ABC):
     def has_own_numbers(self) -> bool:
         """Whether each parameter moves the machine in a way of its own, as a family's do."""
         return False
+
+    @property
+    def takes_force(self) -> bool:
+        """Whether effects can push and hold the joints."""
+        return True
 
     @abstractmethod
     def without_dry_friction(self, parameters: Array) -> Array:

@@ -29,6 +29,7 @@ import pkgutil
 import re
 import sys
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
@@ -101,6 +102,11 @@ class Number:
     high: float = INFINITY
 
 
+@cache
+def _arguments(of: Callable[..., Any]) -> tuple[str, ...]:
+    return tuple(inspect.signature(of).parameters)
+
+
 class Effect(ABC):
     """One unmodelled effect. `starts` are the values, in units of each parameter's scale, from
     which a fit begins.
@@ -155,7 +161,7 @@ class Effect(ABC):
     @classmethod
     def arguments(cls) -> tuple[str, ...]:
         """Names of what `apply` takes."""
-        return tuple(inspect.signature(cls.apply).parameters)
+        return _arguments(cls.apply)
 
     @classmethod
     def delays(cls) -> bool:

@@ -138,10 +138,15 @@ class Reader:
         lower = pair.number("lower")
         return lower, pair.number("upper", above=lower)
 
-    def numbers(self, key: str, count: int) -> list[float]:
-        """A list of so many finite numbers."""
+    def numbers(self, key: str, count: int | None = None) -> list[float]:
+        """A list of so many finite numbers, or of any."""
         numbers = self._get(key)
-        if not isinstance(numbers, list) or len(numbers) != count:
-            raise BadPlant(f"{self.at(key)} must be a list of {count} numbers", field=self.at(key))
+        if not isinstance(numbers, list) or len(numbers) != (
+            len(numbers) if count is None else count
+        ):
+            raise BadPlant(
+                f"{self.at(key)} must be a list of {'' if count is None else f'{count} '}numbers",
+                field=self.at(key),
+            )
         items = Reader({str(i): x for i, x in enumerate(numbers)}, self.at(key))
-        return [items.number(str(i)) for i in range(count)]
+        return [items.number(str(i)) for i in range(len(numbers))]

@@ -61,7 +61,7 @@ def compile_file(path: Path) -> Compiled:
     return Compiled(tree, hashlib.sha256(path.read_bytes()).hexdigest(), tuple(_left_out(model)))
 
 
-def resolved(document: Any, folder: Path) -> Any:
+def with_tree(document: Any, folder: Path) -> Any:
     """A plant's document with the numbers of the MJCF that it names in a folder; as it is where it
     names none or has them already.
 

@@ -18,9 +18,9 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from trueup.model.corrected import Corrected
-from trueup.model.mjcf import resolved
 from trueup.model.mjcf_patch import patch
 from trueup.model.mjcf_writer import Written, write
+from trueup.model.nominal_form import resolved
 from trueup.model.plant import Plant
 from trueup.model.series import DECLARED, Scheme
 

@@ -20,10 +20,10 @@ from trueup.model.dynamics import (
     Form,
     strictly_stable,
 )
-from trueup.model.family import families
 from trueup.model.fields import Reader
-from trueup.model.tree import ZERO, Tree
-from trueup.model.tree_regressors import mass_matrix
+from trueup.model.nominal_form import read_nominal
+from trueup.model.simulated import SimulatedDynamics
+from trueup.model.tree import Tree
 
 Array = NDArray[np.float64]
 INTEGRATOR = "semi_implicit_euler"
@@ -55,7 +55,7 @@ class Plant:
         nominal = root.child("nominal")
         timestep = nominal.number("timestep_s", above=0.0)
         nominal.choice("integrator", [INTEGRATOR], default=INTEGRATOR)
-        dynamics, parameters = _robot(nominal) if "mjcf" in nominal.value else _family(nominal)
+        dynamics, parameters = read_nominal(nominal)
         layout = _layout(root)
         joints = _joints(dynamics, layout)
         envelope = root.child("envelope", optional=True)
@@ -255,41 +255,6 @@ class Plant:
         )
 
 
-def _family(nominal: Reader) -> tuple[Dynamics, tuple[float, ...]]:
-    family = families()[nominal.choice("family", list(families()))]
-    given = nominal.child("parameters")
-    names = [p.name for p in family.params]
-    given.no_more(*names)
-    nominal.no_more("family", "parameters", "timestep_s", "integrator")
-    return CompiledFamily(family), tuple(given.number(name) for name in names)
-
-
-def _robot(nominal: Reader) -> tuple[Dynamics, tuple[float, ...]]:
-    nominal.text("mjcf")
-    if "tree" not in nominal.value:
-        raise BadPlant(
-            "the model's numbers are missing: an MJCF is read where its files are",
-            field="nominal.tree",
-            hint=(
-                "Hand in the case folder: `trueup plant register FOLDER` and `trueup "
-                "diagnose FOLDER` read the model beside plant.json."
-            ),
-        )
-    tree = Tree.read(nominal.child("tree"))
-    nominal.text("sha256", "")
-    left_out = nominal.value.get("left_out", [])
-    if not isinstance(left_out, list) or not all(isinstance(x, str) for x in left_out):
-        raise BadPlant("nominal.left_out must be a list of words", field="nominal.left_out")
-    nominal.no_more("mjcf", "timestep_s", "integrator", "tree", "sha256", "left_out")
-    masses = mass_matrix(tree, tree.constants[None, :, ZERO])[0]
-    if not np.isfinite(masses).all() or np.linalg.eigvalsh(masses)[0] <= 0.0:
-        raise BadPlant(
-            "the model's masses move no joint: its mass matrix is not positive",
-            field="nominal.tree",
-        )
-    return CompiledTree(tree), tree.parameters
-
-
 def _joints(dynamics: Dynamics, layout: Layout) -> tuple[str | None, ...]:
     """The joints in the order of a state. Raises BadPlant where channels and joints do not fit."""
     if any(c.field is Field.EFFORT for c in layout.observations):
@@ -305,12 +270,13 @@ def _joints_of(dynamics: Dynamics, layout: Layout) -> tuple[str | None, ...]:
     raise TypeError(type(dynamics).__name__)
 
 
-@_joints_of.register
-def _joint_of_family(_: CompiledFamily, layout: Layout) -> tuple[str | None, ...]:
+@_joints_of.register(CompiledFamily)
+@_joints_of.register(SimulatedDynamics)
+def _joint_of_family(_: Dynamics, layout: Layout) -> tuple[str | None, ...]:
     one_joint = len({c.joint for c in layout.observations}) == 1
     if not one_joint or len(layout.commands) != 1:
         raise BadPlant(
-            "a family describes one joint with one command",
+            "a family, or a simulator, describes one joint with one command",
             field="observations",
             hint="Describe a robot of several joints by its MJCF.",
         )

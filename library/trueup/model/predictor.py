@@ -15,7 +15,7 @@ al., "Preparing for the Unknown", RSS 2017, for conditioning on identified param
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -75,6 +75,10 @@ class Predictor(ABC):
     def rollout(self, windows: Windows) -> Array:
         """States `(windows, samples, states)` at the windows' samples, from their initial states on
         issued commands alone."""
+
+    def rollouts(self, windows: Sequence[Windows]) -> list[Array]:
+        """The rollouts over several episodes' windows."""
+        return [self.rollout(w) for w in windows]
 
     @abstractmethod
     def description(self) -> dict[str, Json]:

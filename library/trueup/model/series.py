@@ -6,14 +6,12 @@ it (a held frame), or that has no number, is left out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trueup.episode.episode import Episode
-from trueup.model.block import BLOCK
-from trueup.model.dynamics import Form
 from trueup.model.plant import Plant
 from trueup.model.state import known_from, smoothed_states
 from trueup.model.windows import intervals, starts_every
@@ -48,13 +46,25 @@ DECLARED = Scheme(0.0, 1)
 
 def refined(plant: Plant) -> Scheme:
     """The symmetric scheme, on parts of the declared step no longer than FINE_S, and short against
-    the nominal model's fastest oscillation."""
+    the nominal model's fastest oscillation; a simulator's own steps are its own."""
+    if plant.form.simulator is not None:
+        return Scheme(0.5, 1)
     by_mode = min(np.ceil(plant.timestep_s * _fastest(plant) / FINE_RAD - 1e-9), MOST_PARTS)
     return Scheme(0.5, int(max(1, np.ceil(plant.timestep_s / FINE_S - 1e-9), by_mode)))
 
 
+def on_finer_steps(plant: Plant, scheme: Scheme, times: int) -> Scheme:
+    """A scheme with steps so many `times` finer; a simulator's own steps are its own."""
+    if plant.form.simulator is not None:
+        return scheme
+    return replace(scheme, parts=times * scheme.parts)
+
+
 def mergeable(plant: Plant) -> int:
     """How many declared steps the symmetric scheme may take as one, by the limits of `refined`."""
+    simulator = plant.form.simulator
+    if simulator is not None and not simulator.takes_step:
+        return 1
     longest_s = FINE_RAD / max(_fastest(plant), FINE_RAD / FINE_S)
     return max(1, int(longest_s / plant.timestep_s + 1e-9))
 
@@ -93,6 +103,20 @@ class Series:
     begin_by_positions: Array
     period_s: float
     u_scale: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RolloutOf:
+    """What is asked of a series: the block's parameters `(rows, lanes)`; where windows start
+    `(windows, 2 x joints, lanes)`; the `gain` `(beginning, joints, 4, 2)` of a filter in lane 0,
+    which the other lanes follow; and how many lanes behind the first differ from it in what windows
+    start from alone, and begin each window with its hidden states."""
+
+    series: Series
+    p: Array
+    init: Array
+    gain: Array | None = None
+    starts: int = 0
 
 
 def series(
@@ -279,40 +303,3 @@ def seen_by(s: Series, late_s: Array) -> tuple[NDArray[np.int64], Array]:
     windows = np.where(shown >= 0, s.window_of[shown], -1)
     weight = np.sqrt(len(shown) / np.maximum((shown >= 0).sum(axis=0), 1))
     return np.tile(windows, 2), np.tile(np.broadcast_to(weight, shown.shape), 2)
-
-
-def roll(
-    s: Series,
-    form: Form,
-    p: Array,
-    on: NDArray[np.uint8],
-    init: Array,
-    gain: Array | None = None,
-    starts: int = 0,
-) -> Array:
-    """Rollout of blocks of lanes over one series, `(samples, 2 x joints, lanes)`; with a gain
-    `(beginning, joints, 4, 2)`, lanes follow lane 0, which is a filter.
-
-    p `(rows, lanes)` and init `(windows, 2 x joints, lanes)`, whole blocks of lanes. So many as
-    `starts` after the first differ from it in what windows start from alone, and begin each window
-    with its hidden states.
-    """
-    from trueup.model.kernel import kernel  # noqa: PLC0415  (numba loads slowly; a server that only serves needs none)
-
-    joints, lanes = len(s.u_scale), p.shape[1]
-    out = np.empty((len(s.t_s), 2 * joints, lanes))
-    observed = np.where(s.usable, s.observed, np.nan) if gain is not None else s.observed
-    followed = np.zeros((1, joints, 4, 2)) if gain is None else gain
-    for first in range(0, lanes, BLOCK):
-        some = slice(first, first + BLOCK)
-        part = out if lanes == BLOCK else np.empty((len(s.t_s), 2 * joints, BLOCK))
-        kernel()(
-            np.ascontiguousarray(p[:, some]), on, form.block.nominal, form.family, form.tree,
-            form.sizes, s.scheme.alpha, s.u_scale,
-            s.period_s, s.t_s, s.h_s, s.steps, s.issued, s.rise, s.integral, s.resets,
-            np.ascontiguousarray(init[:, :, some]),
-            0 if first else min(starts, BLOCK - 1), gain is not None, followed, observed, part,
-        )  # fmt: skip
-        if part is not out:
-            out[:, :, some] = part
-    return out

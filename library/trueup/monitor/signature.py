@@ -23,7 +23,8 @@ from trueup.model.effect import NULL, effects
 from trueup.model.hypothesis import Hypothesis, Scales, begun, switches
 from trueup.model.plant import Plant
 from trueup.model.predictor import Physical, Predictor
-from trueup.model.series import DECLARED, Scheme, roll, whole
+from trueup.model.roll import roll
+from trueup.model.series import DECLARED, Scheme, whole
 from trueup.model.sizes import sizes_of
 from trueup.model.state import past_states
 from trueup.monitor.residuals import Healthy, Residuals, UnscaledResiduals

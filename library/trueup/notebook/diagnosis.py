@@ -17,7 +17,8 @@ from trueup.artifact.model import Model, save
 from trueup.canonical import Json
 from trueup.diagnose import diagnosis as engine
 from trueup.diagnose.figures import figures
-from trueup.diagnose.summary_text import composition, sentence, warnings
+from trueup.diagnose.summary_text import composition, sentence
+from trueup.diagnose.summary_warnings import warnings
 from trueup.export.targets import Asked, export
 from trueup.notebook.case import Case
 from trueup.notebook.html import diagnosis_html

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from trueup.diagnose.summary_text import composition, sentence, short, warnings
+from trueup.diagnose.summary_text import composition, sentence, short
+from trueup.diagnose.summary_warnings import warnings
 from trueup.notebook.ranking import ranked
 
 CELL, LEFT, BOTTOM = 18, 74, 34  # of a map [px]

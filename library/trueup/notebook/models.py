@@ -7,7 +7,7 @@ commands are as far as they went, unless they are given.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
@@ -16,10 +16,12 @@ from typing import Any
 from trueup.canonical import Json
 from trueup.episode.episode import Episode
 from trueup.episode.layout import Layout
-from trueup.errors import BadPlant
+from trueup.errors import BadPlant, BadSimulator
 from trueup.fit.first_model import describe, undriven
-from trueup.model.mjcf import compile_file, resolved
+from trueup.model.mjcf import compile_file
+from trueup.model.nominal_form import resolved
 from trueup.model.plant import Plant
+from trueup.model.simulator import load_simulator, offer, takes_step
 
 
 @dataclass(frozen=True)
@@ -128,6 +130,45 @@ class Robot(NominalModel):
 
     def _read(self, document: dict[str, Json]) -> Plant:
         return Plant.from_document(resolved(document, self.path.resolve().parent))
+
+
+@dataclass(frozen=True)
+class Simulator(NominalModel):
+    """A simulator of your own of one joint: a function, or a file that holds one.
+
+    `step(state, command, parameters) -> state` moves many simulations at once: `state` `(lanes, 2)`
+    with position and velocity, `command` `(lanes, 1)`, `parameters` a dict of arrays `(lanes,)`. It
+    may also take `force` `(lanes, 1)`, which lets effects push and hold, and `h_s` `(lanes,)` [s],
+    the length of the step. A file is Python that defines `step`, or an ONNX model.
+    `parameters` are those that may be off, with their nominal values; `begins` the values with
+    which further columns of the state begin, that nobody observes. `timestep_s` [s] is the step
+    that the simulator makes, unless it takes `h_s`. Raises BadSimulator.
+    """
+
+    step: Callable[..., Any] | str | PathLike[str]
+    parameters: Mapping[str, float]
+    begins: tuple[float, ...] = ()
+
+    def nominal(self) -> dict[str, Any]:
+        if callable(self.step):
+            name, sha256 = (
+                getattr(self.step, "__name__", type(self.step).__name__),
+                offer(self.step),
+            )
+        else:
+            name, sha256 = Path(self.step).name, load_simulator(self.step)
+        if self.timestep_s is None and not takes_step(sha256):
+            raise BadSimulator(
+                f"{name} makes steps of one length, and nobody said which",
+                hint="Give timestep_s, or let the function take h_s.",
+                field="timestep_s",
+            )
+        return {
+            "simulator": name,
+            "sha256": sha256,
+            "parameters": dict(self.parameters),
+            **({"begins": list(self.begins)} if self.begins else {}),
+        }
 
 
 @dataclass(frozen=True)

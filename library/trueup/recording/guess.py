@@ -278,9 +278,11 @@ class _Guess:
         return angle if of is Field.POSITION else f"{angle}/s", by_message
 
     def _angle(self, q: Quantity | None) -> str:
-        """The unit of positions that a recording's names or reach tell: rad, deg or m."""
+        """The unit of positions that somebody or a recording's names or reach tell: rad, deg or
+        m."""
         positions = [x for x in self._all if x.field is Field.POSITION]
-        named = next((x.unit for x in positions if x.unit in (*ANGLES, *LENGTHS)), None)
+        units = (spelled(self._asked.units.get("q", "")), *(x.unit for x in positions))
+        named = next((unit for unit in units if unit in (*ANGLES, *LENGTHS)), None)
         if named is not None:
             return "m" if named in LENGTHS else named
         if isinstance(self._recording, TableRecording) and self._recording.angles:

@@ -35,6 +35,7 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     errors.BadEpisode: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.BadPlant: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.BadEffect: HTTPStatus.UNPROCESSABLE_ENTITY,
+    errors.BadSimulator: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.BadMapping: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.BadRandomisation: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.BadArtifact: HTTPStatus.UNPROCESSABLE_ENTITY,

@@ -13,7 +13,7 @@ from tests.unit.model.test_step_function import PLANT, TOGETHER, commands, compi
 from trueup.artifact.artifact import pack
 from trueup.episode.mcap import read_episode
 from trueup.errors import BadArtifact
-from trueup.model.mjcf import resolved
+from trueup.model.nominal_form import resolved
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified, Nominal
 from trueup.model.series import DECLARED

@@ -36,7 +36,7 @@ from trueup.blindtrial.trial_plant import trial_plant
 from trueup.diagnose.case import read_case
 from trueup.errors import NotIdentifiable
 from trueup.model.effect import effects
-from trueup.model.mjcf import resolved
+from trueup.model.nominal_form import resolved
 from trueup.model.plant import Plant
 from trueup_pages.blindtrial import page
 from trueup_worker import blind_trial

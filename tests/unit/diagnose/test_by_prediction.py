@@ -18,7 +18,8 @@ from trueup.diagnose.by_prediction import (
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.measure import Gap
 from trueup.diagnose.model_selection import Choice, Conclusion
-from trueup.diagnose.summary_text import sentence, warnings
+from trueup.diagnose.summary_text import sentence
+from trueup.diagnose.summary_warnings import warnings
 from trueup.episode.role import Role
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.predictor import Nominal

@@ -10,7 +10,7 @@ from tests.support.case import write_case
 from trueup.artifact.artifact import pack, unpack
 from trueup.diagnose.case import read_case
 from trueup.diagnose.diagnosis import diagnose
-from trueup.diagnose.summary_text import warnings
+from trueup.diagnose.summary_warnings import warnings
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.errors import BadPlant

@@ -17,7 +17,7 @@ from trueup.diagnose.locate import Strides, _pushed
 from trueup.diagnose.problem_setup import Recordings, Setup
 from trueup.diagnose.search import Search
 from trueup.diagnose.spatial_periods import spatial_periods
-from trueup.diagnose.summary_text import warnings
+from trueup.diagnose.summary_warnings import warnings
 from trueup.diagnose.windowed_fits import trajectory
 from trueup.episode.role import Role
 from trueup.fit.base_parameters import directions
@@ -27,15 +27,8 @@ from trueup.fit.residual import fit_residual
 from trueup.model.block import BLOCK
 from trueup.model.hypothesis import Hypothesis, switches
 from trueup.model.predictor import Nominal, predict_observations
-from trueup.model.series import (
-    DECLARED,
-    Scheme,
-    mergeable,
-    refined,
-    roll,
-    seen_by,
-    series,
-)
+from trueup.model.roll import roll
+from trueup.model.series import DECLARED, Scheme, mergeable, refined, seen_by, series
 from trueup.model.windows import cut, starts_every
 from trueup.simulate.robot import Follow, RobotPlan, rotor, run
 from trueup_pages.diagnosis import report_page

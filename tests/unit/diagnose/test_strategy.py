@@ -10,7 +10,7 @@ from trueup.diagnose.model_selection import PHYSICAL, ROBOT, SIMULATED, selectio
 from trueup.diagnose.strategy import LARGE_ROBOT, ONE_JOINT, strategy_for
 from trueup.diagnose.strategy import ROBOT as ROBOT_EFFORT
 from trueup.model.corrected import Corrected
-from trueup.model.mjcf import resolved
+from trueup.model.nominal_form import resolved
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified, Nominal
 

@@ -3,14 +3,8 @@
 import pytest
 
 from trueup.collect.step_warning import off_step
-from trueup.diagnose.summary_text import (
-    composition,
-    plus_minus,
-    sentence,
-    short,
-    warnings,
-    waterfall,
-)
+from trueup.diagnose.summary_text import composition, plus_minus, sentence, short, waterfall
+from trueup.diagnose.summary_warnings import warnings
 
 
 def report(

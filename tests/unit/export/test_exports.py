@@ -181,7 +181,7 @@ def test_another_suffix_is_refused_with_those_that_fit(target, tmp_path):
 
 def test_a_robot_keeps_its_own_inertia(tmp_path):
     from tests.support.robots import ARM
-    from trueup.model.mjcf import resolved
+    from trueup.model.nominal_form import resolved
 
     (tmp_path / "arm.xml").write_text(ARM)
     joints = ("shoulder", "elbow")

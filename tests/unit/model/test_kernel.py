@@ -13,7 +13,8 @@ from trueup.model.family import families
 from trueup.model.kernel import kernel
 from trueup.model.plant import Plant
 from trueup.model.ports import LAG_S, PAST, SIGNALS_AT_JOINT, U
-from trueup.model.series import Scheme, roll, unobserved
+from trueup.model.roll import roll
+from trueup.model.series import Scheme, unobserved
 
 SAMPLES = 12
 SYMMETRIC = Scheme(0.5, 2)

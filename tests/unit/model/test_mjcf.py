@@ -12,7 +12,8 @@ from tests.support.robots import ARM, EVERYTHING, URDF, arm_document, arm_plant
 from trueup.errors import BadPlant, NotInstalled
 from trueup.model.dynamics import CompiledTree
 from trueup.model.fields import Reader
-from trueup.model.mjcf import compile_file, resolved
+from trueup.model.mjcf import compile_file
+from trueup.model.nominal_form import resolved
 from trueup.model.plant import Plant
 from trueup.model.tree import FRICTION, JOINT, LINK, Tree
 from trueup.model.tree_regressors import inverse_dynamics, mass_matrix

@@ -16,9 +16,10 @@ from trueup.model.block import term
 from trueup.model.dynamics import CompiledTree
 from trueup.model.effect import Effect, Port, effects
 from trueup.model.feasible import feasible
-from trueup.model.mjcf import compile_file, resolved
+from trueup.model.mjcf import compile_file
 from trueup.model.mjcf_patch import patch
 from trueup.model.mjcf_writer import tags, write
+from trueup.model.nominal_form import resolved
 from trueup.model.plant import Plant
 from trueup.model.series import Scheme
 from trueup.model.tree import LINK

@@ -15,7 +15,8 @@ from trueup.model.features import FRICTION
 from trueup.model.hypothesis import Hypothesis, Scales, switches
 from trueup.model.plant import Plant
 from trueup.model.predictor import Blind, Identified, LinearMap, Nominal, Residual
-from trueup.model.series import DECLARED, Scheme, roll, unobserved
+from trueup.model.roll import roll
+from trueup.model.series import DECLARED, Scheme, unobserved
 from trueup.model.step_function import StepFunction
 
 PLANT = Plant.from_document(plant_document())

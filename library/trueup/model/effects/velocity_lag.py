@@ -34,6 +34,8 @@ class VelocityLag(Effect):
 
     @staticmethod
     def apply(q, v, since, behind, before, time_constant):  # type: ignore[no-untyped-def]
-        kept = np.exp(-since / max(time_constant, INSTANT))
-        behind = behind * kept - (v - before) / max(since, INSTANT) * time_constant * (1.0 - kept)
+        kept = np.exp(-since / np.maximum(time_constant, INSTANT))
+        behind = behind * kept - (v - before) / np.maximum(since, INSTANT) * time_constant * (
+            1.0 - kept
+        )
         return q, v + behind, behind, v

@@ -1,0 +1,94 @@
+"""Summary warnings: what a reader of a report should know before its answer is used."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from trueup.collect.step_warning import off_step
+from trueup.diagnose.summary_text import faults, short
+from trueup.diagnose.tuning_of_answers import EVIDENCE
+
+
+def warnings(document: Mapping[str, Any]) -> list[str]:
+    """What a reader of the answer should know first, a sentence each: of pushes, the clock, new
+    numbers that mislead, noise, the fit."""
+    push = (
+        "Something outside pushes, as a contact does: {}. Leave it out: a contact is not simulated."
+    )
+    sentences = [*faults(document), *(push.format(when) for when in _pushed(document))]
+    evidence, gap = document["evidence"], document["gap"]
+    if evidence.get("served") == "nominal":
+        sentences.append(
+            "No correction that was tried predicts the held-out recordings better than the nominal "
+            "model: the model that is served has its numbers."
+        )
+    if evidence.get("no_force"):
+        sentences.append(
+            "Nothing that pushes or holds the joint was tried, as dry friction: the simulator "
+            "takes no force."
+        )
+    if evidence.get("kept_as_declared"):
+        sentences.append(
+            f"Kept as declared: {', '.join(evidence['kept_as_declared'])}. The recordings show "
+            "it only together with other numbers."
+        )
+    if evidence.get("guessed"):
+        sentences.append(f"Guessed, and confirmed by nobody: {'; '.join(evidence['guessed'])}.")
+    # an older report does not say what its clock was
+    episodes = evidence["episodes"] if "timestep_s" in evidence else []
+    late = [off for e in episodes if (off := off_step(e["period_s"], evidence["timestep_s"]))]
+    if late:
+        sentences.append(
+            f"{len(late)} of {len(episodes)} episodes are off the declared step, the first "
+            f"{late[0]}."
+        )
+    if (
+        gap["before"] > EVIDENCE.clearly_above_floor * gap["floor"]
+        and gap["parameters_only"] > EVIDENCE.misleading * gap["before"]
+    ):
+        sentences.append(
+            "Refitting the nominal numbers without the answer makes held-out predictions worse "
+            f"({short(gap['parameters_only'])}, was {short(gap['before'])}): "
+            "do not use those numbers alone."
+        )
+    ramps = [name for name, h in evidence.get("holds", {}).items() if _found_to_be_ramp(h)]
+    if ramps:
+        sentences.append(
+            f"Between its samples {' and '.join(ramps)} is a ramp and no step: so the nominal form "
+            "explains much more. Declare it in plant.json "
+            '(`"hold": "first_order"`).'
+        )
+    coloured = {
+        channel: part for channel, part in evidence.get("noise_correlation", {}).items() if part
+    }
+    if coloured:
+        parts = ", ".join(f"{part:.2g} of it in {channel}" for channel, part in coloured.items())
+        sentences.append(
+            f"Noise goes on from one sample to the next ({parts}): weights, noise floor and "
+            "intervals take that into account."
+        )
+    off = next((c["off"] for c in evidence.get("convergence", [])), None)
+    if off is not None and off > EVIDENCE.off_minimum:
+        sentences.append(
+            f"The fit of the answer ended {short(off)} half-widths from its minimum: its "
+            "cost is too rough there for a proof."
+        )
+    return sentences
+
+
+def _found_to_be_ramp(hold: Mapping[str, Any]) -> bool:
+    return bool(hold["hold"] == "first_order" and not hold["declared"])
+
+
+def _pushed(document: Mapping[str, Any]) -> list[str]:
+    """When something outside pushes a robot, in words."""
+    roles = {e["sha256"]: e["role"] for e in document["evidence"]["episodes"]}
+    phrases = []
+    for push in document["where"].get("pushed", []):
+        joints = " and ".join(f"{j['joint']} by {j['force']:.2g}" for j in push["joints"])
+        phrases.append(
+            f"{roles[push['episode']]} episode {push['episode'][:12]}, {push['from_s']:g} to "
+            f"{push['to_s']:g} s: {joints}"
+        )
+    return phrases
