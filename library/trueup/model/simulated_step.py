@@ -106,20 +106,28 @@ class SimulatedStep:
         }
         asked = {x for one in (*self.forces, *self.frictions) for x in one.effect.arguments()}
         if asked & NOMINAL_PARTS:
-            signals["passive"] = self._acceleration(state, np.zeros_like(u), h_s, h)
+            there = state.copy()
+            there[:, :MOTION] = at
+            signals["passive"] = self._undriven(there, h_s, h)
             signals["drive"] = signals["a"] - signals["passive"]
-            resting = state.copy()
-            resting[:, 0], resting[:, 1] = at[:, 0], 0.0
-            signals["spring"] = self._acceleration(resting, np.zeros_like(u), h_s, h)
+            there[:, 1] = 0.0
+            signals["spring"] = self._undriven(there, h_s, h)
         if "mobility" in asked:
             unit = np.full(len(u), self.size)
             pushed = self.simulator.moved(state, u, self.parameters, h, unit)
             signals["mobility"] = (pushed[:, 1] - free[:, 1]) / h_s
         return signals
 
-    def _acceleration(self, state: Array, u: Array, h_s: Array, h: Array | None) -> Array:
-        after = self.simulator.moved(state, u, self.parameters, h)
-        return np.asarray((after[:, 1] - state[:, 1]) / h_s)
+    def _undriven(self, there: Array, h_s: Array, h: Array | None) -> Array:
+        """The mean acceleration without a command over a step of which a state is the part `alpha`,
+        `(lanes,)`."""
+        none = np.zeros(len(there))
+        begin = there
+        if self.alpha:
+            passes = self.simulator.moved(there, none, self.parameters, h) - there
+            begin = there - self.alpha * passes
+        after = self.simulator.moved(begin, none, self.parameters, h)
+        return np.asarray((after[:, 1] - begin[:, 1]) / h_s)
 
 
 def _pushed(state: Array, h_s: Array, push: Array) -> Array:
