@@ -14,7 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo look demo-arm serve test quick advisories check laws flow bench docs site \
-	pictures lock clean
+	pictures gallery lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -101,6 +101,9 @@ pictures: $(DEV) ## take the pictures of the documentation anew, from a diagnosi
 OURS := trueup $(patsubst %,trueup-%,$(filter-out library,$(PARTS)))
 COMPILE := $(BIN)/uv pip compile --quiet --universal --generate-hashes --no-annotate --no-header \
 	$(OURS:%=--no-emit-package %)
+gallery: $(DEV) ## run the notebooks of the gallery, and keep what they give
+	@$(BIN)/jupyter execute --inplace --timeout=600 examples/gallery/*.ipynb
+
 lock: $(BIN)/uv ## pin the dependencies anew
 	@$(COMPILE) --extra mujoco --extra onnx --extra server $(PROJECTS) -o requirements.txt
 	@$(COMPILE) -c requirements.txt --extra server --extra mlflow --extra mujoco --extra onnx \

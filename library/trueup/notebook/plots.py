@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+from io import BytesIO
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +18,18 @@ if TYPE_CHECKING:
 
 LAYERS = ("nominal", "corrected")
 MOST_RANKED = 10
+LONGEST_LINE = 40  # characters of a composition's name beside its bar
+
+
+def _shown(figure: Any) -> Any:
+    """The figure's class, with the picture by which a notebook shows it."""
+
+    def _repr_png_(self: Any) -> bytes:
+        stream = BytesIO()
+        self.savefig(stream, format="png", dpi=100)
+        return stream.getvalue()
+
+    return type("Picture", (figure,), {"_repr_png_": _repr_png_})
 
 
 class Plots:
@@ -24,7 +38,7 @@ class Plots:
     def __init__(self, diagnosis: Diagnosis) -> None:
         self._diagnosis = diagnosis
         try:
-            self._figure = importlib.import_module("matplotlib.figure").Figure
+            self._figure = _shown(importlib.import_module("matplotlib.figure").Figure)
         except ImportError as error:
             raise NotInstalled(
                 "pictures need matplotlib, which is not installed",
@@ -61,12 +75,18 @@ class Plots:
         """The compositions that were tried, by their misfit on held-out episodes, the answer
         first."""
         rows = ranked(self._diagnosis.report)[:MOST_RANKED]
-        figure = self._figure(figsize=(7.0, 0.6 + 0.32 * len(rows)), layout="constrained")
-        axis = figure.subplots()
         names = [
-            composition(h["effects"]) if h["effects"] else f"{h['parameters']} numbers alone"
+            fill(
+                composition(h["effects"]) if h["effects"] else f"{h['parameters']} numbers alone",
+                LONGEST_LINE,
+            )
             for h in rows
         ]
+        lines = sum(1 + name.count("\n") for name in names)
+        figure = self._figure(
+            figsize=(7.0, 0.7 + 0.12 * len(rows) + 0.2 * lines), layout="constrained"
+        )
+        axis = figure.subplots()
         colours = [
             "tab:blue" if h.get("answer") else "tab:cyan" if h.get("in_set") else "0.7"
             for h in rows
