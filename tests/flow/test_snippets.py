@@ -30,6 +30,7 @@ from trueup.gate.decision import Gate
 from trueup.model.nominal_form import resolved
 from trueup.model.plant import Plant
 from trueup.model.predictor import Nominal
+from trueup.model.simulator import load_simulator
 from trueup.randomise.randomisation import Randomisation
 from trueup.recording.mapping import read_mapping
 from trueup_cli.main import app
@@ -107,6 +108,7 @@ def test_every_snippet_is_of_a_kind_that_is_tested():
         "randomisation.md",
         "recordings.md",
         "robots.md",
+        "simulators.md",
     }
 
 
@@ -286,3 +288,11 @@ def test_the_robot_of_a_page_is_one(tmp_path):
     (tmp_path / "arm.xml").write_text(ARM)
     plant = Plant.from_document(resolved(json.loads(text), tmp_path))
     assert plant.joints == ("shoulder", "elbow")
+
+
+def test_the_simulator_of_a_page_is_one(tmp_path):
+    load_simulator(ROOT / "examples" / "own-simulator" / "pendulum.py")
+    (text,) = snippets(ROOT / "docs" / "simulators.md", "json")
+    document = json.loads((EXAMPLE / "plant.json").read_text()) | json.loads(f"{{{text}}}")
+    plant = Plant.from_document(resolved(document, tmp_path))
+    assert plant.dynamics.parameter_names == ("damping", "inertia", "kt", "mgl")

@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from trueup.fit.blocks import inverses
 from trueup.model.inverse import invert
 from trueup.model.rounding import rounded
 
@@ -24,7 +25,6 @@ Array = NDArray[np.float64]
 Lanes = NDArray[np.int64]
 # of a sum of squares: no rollout that stays near its log comes there, and its own square is still
 # finite
-ALIKE = 1e-9  # of a block's diagonal: what is added where hidden states do the same
 RAN_AWAY = 1e100
 EVEN = 1e-3  # of a period: stamps that are so regular
 NOTHING = 1e-200  # of a squared derivative: what does no more than that has no step
@@ -203,7 +203,7 @@ class NormalEquations:
             pull = np.where(felt, weight * np.array(list(self.began.values())), 0.0)
             total[:, 0, at] -= pull
             total[:, at, 0] -= pull
-        solve = _inverses(total[:, n + 1 :, n + 1 :])
+        solve = inverses(total[:, n + 1 :, n + 1 :])
         reduced = (
             total[:, : n + 1, : n + 1]
             - total[:, : n + 1, n + 1 :] @ solve @ total[:, n + 1 :, : n + 1]
@@ -255,17 +255,6 @@ class NormalEquations:
 
     def _alike(self, damping: float) -> Array:
         return np.full(sum(map(len, self.parts.values())), damping)
-
-
-def _inverses(blocks: Array) -> Array:
-    """The inverses of symmetric blocks `(episodes, n, n)`. Where two hidden states do the same to
-    the last digit, each takes a part of it."""
-    try:
-        return np.asarray(np.linalg.inv(blocks))
-    except np.linalg.LinAlgError:
-        diagonal = np.einsum("eii->ei", blocks)
-        ridge = ALIKE * diagonal[:, :, None] * np.eye(blocks.shape[1])
-        return np.asarray(np.linalg.inv(blocks + ridge))
 
 
 @dataclass(frozen=True, slots=True)
