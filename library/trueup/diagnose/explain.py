@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from trueup.canonical import Json
 from trueup.diagnose.candidate import Candidate
+from trueup.diagnose.correlations import correlations
 from trueup.diagnose.data_quality import DataQuality
 from trueup.diagnose.intervals import covariance, intervals
 from trueup.diagnose.model_selection import Choice
@@ -260,4 +261,5 @@ def alternative(plant: Plant, search: Search, rival: Candidate) -> Json:
         "model": {name: described[name] for name in ("parameters", "effects", "scheme")},
         "effects": estimates(minima, rival.fit, search.problem.fitter, plant, {}),
         "parameters": parameter_table(plant, search.problem.fitter.directions, minima, rival.fit),
+        "correlations": correlations(rival.fit, search.problem.fitter.directions, plant),
     }

@@ -11,6 +11,7 @@ import trueup
 from trueup.canonical import Json
 from trueup.diagnose.bounds import Bound
 from trueup.diagnose.candidate import Candidate
+from trueup.diagnose.correlations import correlations
 from trueup.diagnose.data_quality import DataQuality
 from trueup.diagnose.explain import counted
 from trueup.diagnose.identifiability import Identifiability
@@ -132,6 +133,7 @@ def report(
             "put_aside": [s.document() for s in put_aside],
             "holds": _holds(plant, search, ramps_leave),
             "convergence": _convergence(answer, *choice.rivals),
+            "correlations": correlations(answer.fit, search.problem.fitter.directions, plant),
             "uses_of_validation": len(search.candidates),
             "served": str(served),
             "misfit": _finite(choice.winner.reduced_chi_square),

@@ -11,6 +11,7 @@ from trueup.export.joint_drive import Drives, Ranged
 
 DIGITS = 6  # of a number in a file
 WIDTH = 96
+MOST_TIED = 6  # pairs of numbers that a file names
 GIVEN_UP = 1e-9  # of a step: rounding of a delay that is a whole number of them
 
 Value = Ranged | float | int | list[str] | tuple[str, ...] | None
@@ -64,6 +65,11 @@ def notes(drives: Drives, step_s: float) -> list[str]:
         lines.append(
             "A passive spring acts beside the drive, which the asset must hold: "
             f"{', '.join(springs)}."
+        )
+    if drives.tied:
+        lines.append(
+            f"Off together, though drawn independently here: {', '.join(drives.tied[:MOST_TIED])}; "
+            "the target `randomisation` draws them together."
         )
     return lines
 

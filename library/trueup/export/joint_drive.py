@@ -45,6 +45,7 @@ from trueup.model.tree import (
 )
 
 Array = NDArray[np.float64]
+TIED = 0.8  # a correlation that a file of independent ranges must name
 TWO_SIDED = 1.96  # standard deviations of a 95 % interval
 NEAR_REST = 1e-3  # of a unit of position, velocity and command: a simulator's slopes
 NUDGE = 0.5  # standard deviations to either side, for derivatives
@@ -102,7 +103,7 @@ class Drives:
     """The drives of a corrected model, with where they come from: the plant, the artifact's digest,
     the diagnosis's sentence, the explanations that it could not tell from its answer, what no drive
     holds, the inertia that forces were multiplied by, and the largest torque of gravity on a
-    pendulum, 0 of what is none."""
+    pendulum, 0 of what is none, and the pairs of numbers that are off together."""
 
     plant: Plant
     digest: str
@@ -112,6 +113,7 @@ class Drives:
     left: tuple[Left, ...]
     inertia: float | None
     gravity: float = 0.0
+    tied: tuple[str, ...] = ()
 
     @property
     def is_of_a_family(self) -> bool:
@@ -165,7 +167,15 @@ def drives_of(
         tuple(_left(predictor)),
         inertia,
         (inertia or 1.0) * float(centre[0]) if plant.family == "pendulum" else 0.0,
+        _tied(report),
     )
+
+
+def _tied(report: Mapping[str, Any] | None) -> tuple[str, ...]:
+    """The pairs of numbers whose errors go together, in words."""
+    pairs = [] if report is None else report["evidence"].get("correlations", [])
+    strong = sorted((p for p in pairs if abs(p[2]) >= TIED), key=lambda p: -abs(p[2]))
+    return tuple(f"{first} with {second} ({value:+.2f})" for first, second, value in strong)
 
 
 def _drive(plant: Plant, j: int, numbers: Array, spread: Array) -> JointDrive:

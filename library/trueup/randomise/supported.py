@@ -1,13 +1,14 @@
 """Supported: the randomisation ranges that a diagnosis supports.
 
-Every number of the answer varies evenly over its 95 % interval. An alternative that the data could
+Every number of the answer varies evenly over its 95 % interval, numbers that the fit ties together
+by a Gaussian copula. An alternative that the data could
 not tell from the answer is a kind of plant of its own, as likely as the answer: a policy that is
 trained on one of several explanations is trained on a guess.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,14 +22,23 @@ from trueup.randomise.randomisation import SCHEMA
 
 RANDOMISATION_FILE = "randomisation.json"
 HAIR = 1e-9  # of a number: an interval has a width
+LEAST_EIGENVALUE = 1e-3  # of a correlation matrix that rounding leaves one
+WEAKER = 0.995  # each time that correlations are impossible together
+DIGITS = 4  # of a correlation
 TWO_SIDED = 1.96  # standard deviations of a 95 % interval
 
 
 def supported_ranges(model: Corrected, report: Mapping[str, Any]) -> dict[str, Json] | None:
     """The family of plants that a diagnosis's report leaves possible, as a document; None where no
     number has an interval. Raises KeyError, TypeError, ValueError for another document."""
+    evidence = report["evidence"]
     kinds = [Ensemble.posterior(model, report), *Ensemble.alternatives(model.plant, report)]
-    named = [numbers for ensemble in kinds if (numbers := _numbers(ensemble))]
+    tied = [evidence, *evidence.get("alternatives", [])]
+    named = [
+        {"numbers": numbers, **_tied(numbers, of.get("correlations", []))}
+        for ensemble, of in zip(kinds, tied, strict=True)
+        if (numbers := _numbers(ensemble))
+    ]
     if not named:
         return None
     because = f"95 % intervals of a diagnosis of {report['plant']}, verdict {report['verdict']}"
@@ -38,8 +48,27 @@ def supported_ranges(model: Corrected, report: Mapping[str, Any]) -> dict[str, J
         because += "; a gap remains that these ranges do not cover"
     head: dict[str, Json] = {"schema": SCHEMA, "because": because}
     if len(named) == 1:
-        return {**head, "numbers": named[0]}
-    return {**head, "mixture": [{"weight": 1.0, "numbers": numbers} for numbers in named]}
+        return {**head, **named[0]}
+    return {**head, "mixture": [{"weight": 1.0, **one} for one in named]}
+
+
+def _tied(numbers: Sequence[Any], pairs: Sequence[Any]) -> dict[str, Json]:
+    """The correlations of pairs of numbers that have a range, made a little weaker where rounding
+    left them impossible together; none where nothing ties two of them."""
+    names = [str(entry["number"]) for entry in numbers]
+    matrix = np.eye(len(names))
+    for first, second, value in pairs:
+        if first in names and second in names:
+            i, j = names.index(first), names.index(second)
+            matrix[i, j] = matrix[j, i] = float(value)
+    off = matrix - np.eye(len(names))
+    while np.linalg.eigvalsh(np.eye(len(names)) + off)[0] < LEAST_EIGENVALUE:
+        off *= WEAKER
+    entries: list[Json] = [
+        [names[i], names[j], round(float(off[i, j]), DIGITS)]
+        for i, j in zip(*np.nonzero(np.triu(off)), strict=True)
+    ]
+    return {"correlation": entries} if entries else {}
 
 
 def _numbers(ensemble: Ensemble) -> list[Json]:

@@ -22,6 +22,8 @@ from trueup.fit.screening import screen
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.series import DECLARED, refined, series
 from trueup.model.velocity_prior import VelocityPrior, velocity_prior
+from trueup.randomise.randomisation import Randomisation
+from trueup.randomise.supported import supported_ranges
 from trueup_pages.diagnosis import report_page
 
 pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
@@ -66,6 +68,28 @@ def test_parameters_are_found_beside_the_effect(friction):
     _, _, trial, found = friction
     for name, true in (("k", trial.machine.k), ("c", trial.machine.c), ("b", trial.machine.b)):
         assert found.document["parameters"][name]["value"] == pytest.approx(true, rel=0.02)
+
+
+def test_numbers_that_motion_shows_together_are_said_to_be_off_together(friction):
+    plant, _, _, found = friction
+    pairs = {(a, b): r for a, b, r in found.document["evidence"]["correlations"]}
+    assert all(-1.0 <= r <= 1.0 for r in pairs.values())
+    assert {name for pair in pairs for name in pair} <= {
+        *plant.nominal,
+        "coulomb_friction.level",
+    }
+    # above its resonance the joint goes against its command, and a spring pulls with it
+    assert pairs["k", "b"] < -0.4
+    family = Randomisation.of(plant, supported_ranges(found.predictor, found.document))
+    alone = replace(family, kinds=tuple(replace(k, correlation=None) for k in family.kinds))
+    together = []
+    for of in (family, alone):
+        rng = np.random.default_rng(0)
+        drawn = [of.draw(rng) for _ in range(300)]
+        together.append(
+            np.std([d["b"] / plant.nominal["b"] + d["k"] / plant.nominal["k"] for d in drawn])
+        )
+    assert together[0] < 0.85 * together[1]
 
 
 def test_what_is_absent_is_bounded(friction):

@@ -79,3 +79,30 @@ def test_an_unexplained_gap_is_said_and_nothing_without_an_interval_is_made_up()
     assert "do not cover" in supported_ranges(FRICTION, report("unknown_effect"))["because"]
     nothing = {**report("no_gap"), "parameters": {}, "effects": []}
     assert supported_ranges(corrected(PLANT, {}, TRUE), nothing) is None
+
+
+def with_ties(*pairs):
+    document = report()
+    document["evidence"]["correlations"] = [list(pair) for pair in pairs]
+    return supported_ranges(FRICTION, document)
+
+
+def test_numbers_that_are_off_together_are_drawn_together():
+    document = with_ties(("k", "b", 0.95), ("c", "coulomb_friction.level", -0.6), ("k", "x", 0.9))
+    assert document["correlation"] == [["k", "b", 0.95], ["c", "coulomb_friction.level", -0.6]]
+    family = Randomisation.of(PLANT, json.loads(json.dumps(document)))
+    rng = np.random.default_rng(0)
+    drawn = [family.draw(rng) for _ in range(400)]
+    k, b, c, level = (
+        np.array([d[name] for d in drawn]) for name in ("k", "b", "c", "coulomb_friction.level")
+    )
+    assert np.corrcoef(k, b)[0, 1] > 0.9
+    assert np.corrcoef(c, level)[0, 1] < -0.4
+    assert abs(np.corrcoef(k, c)[0, 1]) < 0.15
+
+
+def test_correlations_that_rounding_made_impossible_are_made_weaker():
+    document = with_ties(("k", "c", 0.999), ("c", "b", 0.999), ("k", "b", 0.99))
+    family = Randomisation.of(PLANT, json.loads(json.dumps(document)))
+    assert all(0.9 < value < 1.0 for _, _, value in document["correlation"])
+    family.draw(np.random.default_rng(0))
