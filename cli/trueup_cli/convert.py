@@ -44,6 +44,7 @@ def convert(
     inertia: Annotated[
         float | None, Parameter(help="Inertia of a single joint [kg m^2, or kg]; default: 1")
     ] = None,
+    asset: Path | None = None,
     mjcf: Path | None = None,
     as_json_: Json = False,
 ) -> None:
@@ -51,7 +52,8 @@ def convert(
 
     Without a target: ONNX (`*.onnx`) holds one step of the model, MJCF (`*.xml`) the part of it
     that MuJoCo has elements for. Isaac Lab and mjlab get actuator configurations with events that
-    randomise them over their 95 % intervals, ros2_control a proposal of compensating parameters.
+    randomise them over their 95 % intervals, ros2_control a proposal of compensating parameters,
+    USD a layer over the robot's asset.
 
     Parameters
     ----------
@@ -59,6 +61,8 @@ def convert(
         folder of a fetched model, or of a diagnosis, which brings intervals
     to
         file to write; its suffix says in which format
+    asset
+        USD file of the robot, over which a layer of USD lies
     mjcf
         MJCF file that a robot was declared by; the correction is written into a copy of it
     """
@@ -66,7 +70,7 @@ def convert(
     with progress(f"writing {to.name}"):
         if target is not None:
             asked = Asked(
-                fetched.predictor, fetched.digest, trueup.__version__, report, step, inertia
+                fetched.predictor, fetched.digest, trueup.__version__, report, step, inertia, asset
             )
             left: Sequence[Left] = export(asked, target, to)
         elif to.suffix in WRITERS:
@@ -88,7 +92,7 @@ def convert(
         )
         return
     say("{}: {}, artifact {}", to, fetched.plant.name, fetched.digest[:12])
-    if target is not None and inertia is None and fetched.plant.family != "mjcf":
+    if target is not None and inertia is None and fetched.plant.form.per_inertia:
         say("forces are per unit of inertia: --inertia makes newton metres of them")
     for x in left:
         say("not expressed: {}", x)

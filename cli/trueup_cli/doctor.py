@@ -61,6 +61,7 @@ PACKAGES = (
     ("matplotlib", False, "pictures of a diagnosis in a notebook", "pip install 'trueup[plot]'"),
     ("mlflow", False, "versions to and from an MLflow registry", "pip install 'trueup[mlflow]'"),
     ("onnx", False, "models written as ONNX", "pip install 'trueup[onnx]'"),
+    ("pxr", False, "layers over a robot's USD asset", "pip install 'trueup[usd]'"),
     (
         "onnxruntime",
         False,

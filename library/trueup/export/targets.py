@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from trueup.errors import NotExportable
-from trueup.export import isaaclab, mjlab, ros2_control
+from trueup.export import isaaclab, mjlab, ros2_control, usd
 from trueup.export.joint_drive import Drives, drives_of
 from trueup.model.corrected import Corrected
 from trueup.model.mjcf_patch import Left
@@ -22,7 +22,8 @@ Report = Mapping[str, Any]
 @dataclass(frozen=True, slots=True)
 class Asked:
     """What is to be written: a predictor with its digest, the report of its diagnosis if there is
-    one, the physics step of the target [s], and the inertia of a family's joint."""
+    one, the physics step of the target [s], the inertia of a family's joint, and the asset that a
+    layer of USD lies over."""
 
     predictor: Predictor
     digest: str
@@ -30,6 +31,7 @@ class Asked:
     report: Report | None = None
     step_s: float | None = None
     inertia: float | None = None
+    asset: Path | None = None
 
     @property
     def drives(self) -> Drives:
@@ -42,20 +44,24 @@ class Asked:
         return self.step_s or self.predictor.plant.timestep_s
 
 
-def _isaaclab(asked: Asked, suffix: str) -> str:
-    write = isaaclab.yaml if suffix in YAML else isaaclab.python
+def _isaaclab(asked: Asked, to: Path) -> str:
+    write = isaaclab.yaml if to.suffix in YAML else isaaclab.python
     return write(asked.drives, asked.step, asked.version)
 
 
-def _mjlab(asked: Asked, _: str) -> str:
+def _mjlab(asked: Asked, _: Path) -> str:
     return mjlab.python(asked.drives, asked.step, asked.version)
 
 
-def _ros2_control(asked: Asked, _: str) -> str:
+def _ros2_control(asked: Asked, _: Path) -> str:
     return ros2_control.yaml(asked.drives, asked.report, asked.version)
 
 
-def _randomisation(asked: Asked, _: str) -> str:
+def _usd(asked: Asked, to: Path) -> str:
+    return usd.layer(asked.drives, asked.asset, to, asked.version)
+
+
+def _randomisation(asked: Asked, _: Path) -> str:
     if asked.report is None or not isinstance(asked.predictor, Corrected):
         raise NotExportable(
             "ranges come from the intervals of a diagnosis",
@@ -69,10 +75,11 @@ def _randomisation(asked: Asked, _: str) -> str:
 
 YAML = (".yaml", ".yml")
 # of each target the ends of its files, and what writes them
-TARGETS: Mapping[str, tuple[tuple[str, ...], Callable[[Asked, str], str]]] = {
+TARGETS: Mapping[str, tuple[tuple[str, ...], Callable[[Asked, Path], str]]] = {
     "isaaclab": ((".py", *YAML), _isaaclab),
     "mjlab": ((".py",), _mjlab),
     "ros2_control": (YAML, _ros2_control),
+    "usd": ((".usda",), _usd),
     "randomisation": ((".json",), _randomisation),
 }
 
@@ -89,5 +96,5 @@ def export(asked: Asked, target: str, to: Path) -> tuple[Left, ...]:
             f"{to.name} is no file of {target}",
             hint=f"End the file's name with {' or '.join(suffixes)}.",
         )
-    to.write_text(write(asked, to.suffix))
+    to.write_text(write(asked, to))
     return () if target == "randomisation" else asked.drives.left

@@ -173,15 +173,23 @@ class Diagnosis:
         *,
         step_s: float | None = None,
         inertia: float | None = None,
+        asset: str | PathLike[str] | None = None,
     ) -> tuple[str, ...]:
         """Write the corrected model for another program, with the intervals of its numbers.
 
-        `target` is isaaclab, mjlab, ros2_control or randomisation; `step_s` [s] the physics step of
-        the target, `inertia` [kg m^2, or kg] that of a single joint. Returns in words what the
+        `target` is isaaclab, mjlab, ros2_control, usd or randomisation; `step_s` [s] the physics
+        step of the target, `inertia` [kg m^2, or kg] that of a single joint, `asset` the USD file
+        over which a layer lies. Returns in words what the
         target cannot hold. Raises NotExportable.
         """
         asked = Asked(
-            self.engine.predictor, self.artifact.digest, __version__, self.report, step_s, inertia
+            self.engine.predictor,
+            self.artifact.digest,
+            __version__,
+            self.report,
+            step_s,
+            inertia,
+            None if asset is None else Path(asset),
         )
         return tuple(map(str, export(asked, target, Path(to))))
 
