@@ -55,7 +55,7 @@ def layer(drives: Drives, asset: Path | None, to: Path, version: str) -> str:
         physics.DriveAPI.Apply(prim, axis)
         prim.AddAppliedSchema(f"PhysxJointAxisAPI:{axis}")
         for name, ranged in _attributes(drive, axis):
-            attribute = prim.CreateAttribute(name, sdf.ValueTypeNames.Float)
+            attribute = prim.CreateAttribute(name, sdf.ValueTypeNames.Float, custom=False)
             attribute.Set(ranged.value)
             if not ranged.is_certain:
                 attribute.SetCustomDataByKey("ci95", _pair(ranged))
