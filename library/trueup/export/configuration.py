@@ -59,7 +59,10 @@ def heading(drives: Drives, version: str, more: Sequence[str]) -> list[str]:
 def notes(drives: Drives, step_s: float) -> list[str]:
     """What a simulator's file must say besides: what delays are counted in, and the springs that
     its asset must hold."""
-    lines = [f"Delays are in physics steps of {1e3 * step_s:g} ms."]
+    late = any(d["delay"].value for d in drives.drives)
+    lines = [f"Delays are in physics steps of {1e3 * step_s:g} ms."] if late else []
+    if drives.beside:
+        lines.append(drives.beside)
     springs = [f"{d.joint} {number(d['spring'].value)}" for d in drives.drives if d["spring"].value]
     if springs:
         lines.append(

@@ -102,8 +102,9 @@ class JointDrive:
 class Drives:
     """The drives of a corrected model, with where they come from: the plant, the artifact's digest,
     the diagnosis's sentence, the explanations that it could not tell from its answer, what no drive
-    holds, the inertia that forces were multiplied by, and the largest torque of gravity on a
-    pendulum, 0 of what is none, and the pairs of numbers that are off together."""
+    holds, the inertia that forces were multiplied by, the largest torque of gravity on a pendulum,
+    0 of what is none, the pairs of numbers that are off together, and of a simulator what the asset
+    must hold `beside` the drives."""
 
     plant: Plant
     digest: str
@@ -114,6 +115,7 @@ class Drives:
     inertia: float | None
     gravity: float = 0.0
     tied: tuple[str, ...] = ()
+    beside: str = ""
 
     @property
     def is_of_a_family(self) -> bool:
@@ -168,6 +170,24 @@ def drives_of(
         inertia,
         (inertia or 1.0) * float(centre[0]) if plant.family == "pendulum" else 0.0,
         _tied(report),
+        _beside(plant.dynamics, predictor),
+    )
+
+
+@singledispatch
+def _beside(_: Dynamics, model: Corrected) -> str:
+    """What the target's own asset must hold, in words."""
+    return ""
+
+
+@_beside.register
+def _beside_a_simulator(dynamics: SimulatedDynamics, model: Corrected) -> str:
+    numbers = model.values[: len(dynamics.parameter_names)]
+    named = zip(dynamics.parameter_names, numbers, strict=True)
+    inertia = f"of {dynamics.size(numbers):.6g} " if dynamics.takes_force else ""
+    return (
+        f"The asset must hold the joint's inertia {inertia}and what gravity and springs do, as the "
+        f"simulator has them with {', '.join(f'{n} {x:.6g}' for n, x in named)}."
     )
 
 
@@ -236,9 +256,8 @@ class _Simulator(_Reader):
     servo, position hold it back. What else it does is the target's own model's."""
 
     def __init__(self, dynamics: SimulatedDynamics, plant: Plant, inertia: float) -> None:
-        self._dynamics, self._count = dynamics, len(plant.parameters)
+        self._dynamics, self._count, self._inertia = dynamics, len(plant.parameters), inertia
         self._is_servo = plant.layout.commands[0].field is Field.POSITION
-        self._size = float(dynamics.form.sizes[0]) * inertia
 
     def numbers(self, values: Array, j: int) -> dict[str, float]:
         ends = np.array([1.0, -1.0]) * NEAR_REST
@@ -247,11 +266,13 @@ class _Simulator(_Reader):
             self._dynamics.acceleration(values[: self._count], *motion)
             for motion in ((ends, zero, zero), (zero, ends, zero), (zero, zero, ends))
         ]
-        by_q, by_v, by_u = (self._size * float(x[0] - x[1]) / (2.0 * NEAR_REST) for x in a)
+        size = self._dynamics.size(values[: self._count].tolist()) * self._inertia
+        by_q, by_v, by_u = (size * float(x[0] - x[1]) / (2.0 * NEAR_REST) for x in a)
         return {"gain": by_u, "damping": -by_v, "servo": -by_q if self._is_servo else 0.0}
 
     def size(self, j: int) -> float:
-        return self._size
+        # what effects are measured by stays that of the nominal numbers
+        return float(self._dynamics.form.sizes[0]) * self._inertia
 
 
 class _Family(_Reader):

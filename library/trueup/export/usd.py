@@ -49,9 +49,9 @@ def layer(drives: Drives, asset: Path | None, to: Path, version: str) -> str:
                 f"{asset.name} has no joint {drive.joint}",
                 hint=f"Its joints are {', '.join(joints) or 'none'}.",
             )
-        found = joints[drive.joint]
-        axis = AXES[str(found.GetTypeName())]
-        prim = stage.OverridePrim(found.GetPath())
+        joint = joints[drive.joint]
+        axis = AXES[str(joint.GetTypeName())]
+        prim = stage.OverridePrim(joint.GetPath())
         physics.DriveAPI.Apply(prim, axis)
         prim.AddAppliedSchema(f"PhysxJointAxisAPI:{axis}")
         for name, ranged in _attributes(drive, axis):
@@ -81,6 +81,8 @@ def _attributes(drive: JointDrive, axis: str) -> Iterator[tuple[str, Ranged]]:
 
 def _said_beside(drives: Drives) -> Iterator[str]:
     """What a drive of USD has no attribute for."""
+    if drives.beside:
+        yield drives.beside
     for drive in drives.drives:
         for name, words in (
             ("delay", "commands are late by {:g} s"),

@@ -46,7 +46,9 @@ def _simulator(nominal: Reader) -> tuple[Dynamics, tuple[float, ...]]:
     nominal.no_more("simulator", "sha256", "parameters", "begins", "timestep_s", "integrator")
     step, timestep_s = step_at_hand(sha256, name), nominal.number("timestep_s", above=0.0)
     simulator = Simulator(name, step, parameters, timestep_s, tuple(begins)).checked()
-    return SimulatedDynamics(simulator), tuple(parameters.values())
+    dynamics = SimulatedDynamics(simulator)
+    dynamics.size(tuple(parameters.values()))  # raises where a force is taken and not used
+    return dynamics, tuple(parameters.values())
 
 
 def _family(nominal: Reader) -> tuple[Dynamics, tuple[float, ...]]:

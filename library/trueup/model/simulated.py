@@ -125,18 +125,19 @@ class SimulatedDynamics(Dynamics):
             Block.of_numbers(len(self.simulator.parameters)),
             NO_FORM,
             np.zeros((1, TREE)),
-            np.array([self._size()]),
+            np.array([self.size(list(self.simulator.parameters.values()))]),
             self.simulator,
         )
 
-    def _size(self) -> float:
-        """The force that gives the joint at rest a unit of acceleration; 1 where it takes none.
-        Raises BadSimulator."""
+    def size(self, parameters: Sequence[float]) -> float:
+        """The force that gives the joint at rest, with some parameters, a unit of acceleration; 1
+        where it takes none. Raises BadSimulator."""
         simulator = self.simulator
         if not simulator.takes_force:
             return 1.0
         state = np.array([[0.0, 0.0, *simulator.begins]])
-        lanes = {name: np.array([x]) for name, x in simulator.parameters.items()}
+        given = zip(simulator.parameters, parameters, strict=True)
+        lanes = {name: np.array([float(x)]) for name, x in given}
         after = [
             simulator.moved(state, np.zeros(1), lanes, None, np.array([force]))[0, 1]
             for force in (0.0, 1.0)

@@ -78,11 +78,16 @@ class Simulator:
         try:
             after = np.asarray(self.step(state, command[:, None], parameters, **more), float)
         except Exception as error:
-            raise BadSimulator(f"the step of {self.name} failed: {error!r}") from error
+            raise BadSimulator(
+                f"the step of {self.name} failed: {error!r}",
+                hint="It gets arrays of many simulations: np.sin, not math.sin; state[:, 0] is the "
+                "position, command[:, 0] the command.",
+            ) from error
         if after.shape != state.shape:
             raise BadSimulator(
                 f"the step of {self.name} returned {after.shape} for states {state.shape}",
-                hint="Return the states after the step, one row for each lane.",
+                hint="Return the states after the step, a row for each lane: "
+                "np.column_stack([q, v]); the command of each is command[:, 0].",
             )
         if h_s is None or self.takes_step:
             return after
@@ -127,8 +132,8 @@ def offer(step: Step) -> str:
     unknown = [n for n in _arguments(step) if n not in NAMES and n not in _defaults(step)]
     if unknown or _arguments(step)[:3] != NAMES[:3]:
         raise BadSimulator(
-            "a step takes state, command and parameters, and may take force and h_s; this one "
-            f"takes {', '.join(_arguments(step))}"
+            "a step takes state, command and parameters, by these names, and may take force and "
+            f"h_s; this one takes {', '.join(_arguments(step))}"
         )
     digest = hashlib.sha256(_text(step)).hexdigest()
     _AT_HAND[digest] = step
@@ -154,8 +159,9 @@ def step_at_hand(sha256: str, name: str) -> Step:
             f"the model needs the simulator {name}"
             + (f" with the SHA-256 {sha256[:12]}…" if sha256 else "")
             + ", which is not here",
-            hint="Load its file with trueup.load_simulator or TRUEUP_SIMULATORS; one defined in a "
-            "notebook is there once its case is made.",
+            hint="Load its file with trueup.load_simulator or TRUEUP_SIMULATORS. A function of a "
+            "notebook is there once its case is made; for commands, keep it in a file and name "
+            "that: trueup.Simulator('FILE.py', ...).",
         )
     return _AT_HAND[sha256]
 

@@ -81,7 +81,7 @@ class Case:
 
     @staticmethod
     def from_recordings(
-        path: str | PathLike[str],
+        path: str | PathLike[str] | Sequence[str | PathLike[str]],
         *,
         plant: NominalModel | None = None,
         joint: str | None = None,
@@ -100,14 +100,16 @@ class Case:
         stage: str = "physical",
         mapping: Mapping[str, Any] | None = None,
     ) -> Case:
-        """A case from a file or a folder of any format that docs/recordings.md lists.
+        """A case from a file or a folder of any format that docs/recordings.md lists, or from
+        several.
 
         `joint` names one of several; `q`, `v` and `u` name signals, where names do not tell;
         `observation` and `command` topics; `names` the joints of a list that has none, which
         `controllers`, a parameter file of ros2_control, lists as well. The rest is as for
         `from_table`. Raises BadEpisode, BadMapping, BadPlant, NotIdentifiable, NotInstalled.
         """
-        runs = open_runs(Path(path))
+        paths = [path] if isinstance(path, str | PathLike) else path
+        runs = [run for one in paths for run in open_runs(Path(one))]
         asked = Asked(
             _named(q=q, v=v, u=u),
             dict(units or {}),

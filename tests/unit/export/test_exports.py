@@ -2,6 +2,7 @@
 model predicts, and what is not certain stands beside the numbers."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
 from trueup.model.predictor import Nominal
 from trueup.model.series import refined
+from trueup.model.simulator import offer
 
 # so fine a step that the simulator's own integrator, of first order, is not what is compared
 STEP_S, HOLD, PERIOD_S = 0.0001, 20, 0.002
@@ -204,3 +206,33 @@ def test_a_robot_keeps_its_own_inertia(tmp_path):
     ]
     with pytest.raises(NotExportable, match="inertias are those of its model"):
         drives_of(Nominal(of), "", inertia=2.0)
+
+
+@pytest.mark.parametrize("inertia", [0.02, 0.04])
+def test_a_simulators_forces_are_those_of_the_inertia_that_was_found(inertia):
+    def step(state, command, parameters, force, h_s):
+        q, v = state.T
+        p = parameters
+        torque = p["kt"] * command[:, 0] + force[:, 0] - p["d"] * v
+        v = v + h_s * torque / p["inertia"]
+        return np.column_stack([q + h_s * v, v])
+
+    declared = {"d": 0.01, "inertia": inertia, "kt": 0.12}
+    document = plant_document("arm") | {
+        "nominal": {
+            "simulator": "step",
+            "sha256": offer(step),
+            "parameters": declared,
+            "timestep_s": 0.001,
+        },
+    }
+    of = Plant.from_document(document)
+    level = 0.06 / float(of.form.sizes[0])  # 0.06 N·m
+    model = corrected(of, {"coulomb_friction": {"level": level}})
+    values = list(model.values)
+    values[:3] = 0.012, 0.02, 0.11  # d, inertia and kt as they were found
+    drives = drives_of(replace(model, values=tuple(values)), "0" * 64)
+    (drive,) = drives.drives
+    found = [drive[name].value for name in ("gain", "damping", "friction")]
+    assert found == pytest.approx([0.11, 0.012, 0.06], rel=2e-3)
+    assert "inertia of 0.02" in drives.beside

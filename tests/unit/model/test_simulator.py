@@ -287,7 +287,7 @@ def keeps_something():
 )
 def test_a_step_that_breaks_a_rule_is_refused_with_it(step, why):
     with pytest.raises(BadSimulator, match=why):
-        _ = plant_of(step).form
+        plant_of(step)
 
 
 def test_one_that_is_not_at_hand_is_refused():
