@@ -11,7 +11,8 @@ import pytest
 
 import trueup
 from tests.support.service import ROOT
-from trueup.errors import BadSimulator
+from trueup.artifact.onnx import to_onnx
+from trueup.errors import BadSimulator, NotExportable
 
 EXAMPLE = ROOT / "examples" / "own-simulator" / "pendulum.py"
 STEP_S, SAMPLES, LATE = 0.02, 250, 3
@@ -79,6 +80,12 @@ def test_its_model_is_saved_and_loaded_where_the_simulator_is_at_hand(answered, 
     )
     assert refused.returncode == 1
     assert "needs the simulator step" in refused.stderr
+
+
+def test_it_has_no_form_in_onnx_and_says_so(answered):
+    _, answer = answered
+    with pytest.raises(NotExportable, match="simulator of your own"):
+        to_onnx(answer.model.predictor, answer.model.digest)
 
 
 def test_a_step_of_one_length_says_which():
