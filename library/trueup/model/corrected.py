@@ -223,7 +223,7 @@ def _joint(_: Dynamics, model: Corrected) -> Joint:
 @_joint.register
 def _joint_of_simulator(_: SimulatedDynamics, model: Corrected) -> Joint:
     raise NotExportable(
-        f"{model.plant.name} is a simulator of your own: its step is a function, which has no graph",
+        f"{model.plant.name} is a simulator of your own: its step has no graph",
         hint="Take the corrected drive elsewhere: `trueup convert --target`, or answer.export().",
     )
 
