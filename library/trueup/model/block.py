@@ -81,11 +81,6 @@ class Block:
         in each."""
         return Block(max(len(f.params) for f in families().values()))
 
-    @staticmethod
-    def of_numbers(count: int) -> Block:
-        """The block of a joint whose nominal form has so many numbers."""
-        return Block(count)
-
     def rows(self, of: str) -> tuple[int, ...]:
         """Rows of a term's parameters."""
         first = self.nominal + joint(of) * height()

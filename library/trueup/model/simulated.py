@@ -122,7 +122,7 @@ class SimulatedDynamics(Dynamics):
     @cached_property
     def form(self) -> Form:  # type: ignore[override]
         return Form(
-            Block.of_numbers(len(self.simulator.parameters)),
+            Block(len(self.simulator.parameters)),
             NO_FORM,
             np.zeros((1, TREE)),
             np.array([self.size(list(self.simulator.parameters.values()))]),
@@ -156,6 +156,5 @@ class SimulatedDynamics(Dynamics):
             parameters[:, None] if parameters.ndim == 1 else parameters,
             (len(simulator.parameters), len(state)),
         )
-        exact = bool((h_s == simulator.timestep_s).all())
         lanes = dict(zip(simulator.parameters, numbers, strict=True))
-        return simulator.moved(state, u, lanes, None if exact else h_s)
+        return simulator.moved(state, u, lanes, h_s)

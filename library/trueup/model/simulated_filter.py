@@ -16,6 +16,7 @@ from trueup.model.timeline import Acting
 
 Array = NDArray[np.float64]
 FORCE = 2  # the row of a gain that corrects a disturbing acceleration
+FIRST = slice(1)  # of a run's lanes: the filter's
 HIDDEN = 3  # the row that corrects what hides the velocity
 
 
@@ -51,14 +52,14 @@ class _Filters:
         self.memory: dict[Any, Array] = {
             key: np.array([memory[key][0] for _, memory in begun]) for key in begun[0][1]
         }
-        usual = {"zero": 0.0, "u": 0.0, "first": 0.0}
-        for which in range(len(runs[0].sensors)):
-            begins = [_first_lane(r.sensors[which]).begin(usual) for r in runs]
-            self.memory |= {key: np.array([b[key] for b in begins], float) for key in begins[0]}
-        self.step = _in_lanes([r.step for r in runs])
+        self.step = SimulatedStep.side_by_side([r.step.at(FIRST) for r in runs])
         self.sensors = [
-            _acting_in_lanes([r.sensors[i] for r in runs]) for i in range(len(runs[0].sensors))
+            Acting.side_by_side([x.at(FIRST) for x in each])
+            for each in zip(*(r.sensors for r in runs), strict=True)
         ]
+        commands = np.array([r.series.issued[0, 0] for r in runs])
+        for one in self.sensors:
+            self.memory |= one.begin(commands, len(runs))
         self.push = np.zeros(len(runs))
 
     def run(self) -> list[Followed]:
@@ -67,7 +68,8 @@ class _Filters:
         states = np.zeros((total, *self.state.shape))
         seen = np.zeros((total, len(self.runs), MOTION))
         kept = {key: np.zeros((total, len(self.runs))) for key in self.memory}
-        times, observed, usable = (np.zeros((total, len(self.runs), *tail)) for tail in _TAILS)
+        times = np.zeros((total, len(self.runs)))
+        observed, usable = (np.zeros((total, len(self.runs), MOTION)) for _ in range(2))
         gains = np.zeros((total, len(self.runs), 4, 2))
         for r, run in enumerate(self.runs):
             n, gain = self.samples[r], run.gain
@@ -165,32 +167,3 @@ class _Filters:
         now = np.array([first[i] for first in firsts])
         behind = np.array([first[min(i + 1, len(first) - 1)] for first in firsts])
         return now, behind
-
-
-_TAILS: tuple[tuple[int, ...], ...] = ((), (MOTION,), (MOTION,))
-
-
-def _first_lane(one: Acting) -> Acting:
-    began = {state: x[0] for state, x in one.began.items()}
-    return Acting(one.effect, {name: x[0] for name, x in one.numbers.items()}, began)
-
-
-def _acting_in_lanes(each: Sequence[Acting]) -> Acting:
-    """An effect with the numbers of each run's lane 0."""
-    numbers = {n: np.array([x.numbers[n][0] for x in each]) for n in each[0].numbers}
-    return Acting(each[0].effect, numbers, {})
-
-
-def _in_lanes(steps: Sequence[SimulatedStep]) -> SimulatedStep:
-    """The step of each run's lane 0."""
-    one = steps[0]
-    return SimulatedStep(
-        one.simulator,
-        {n: np.array([s.parameters[n][0] for s in steps]) for n in one.parameters},
-        [_acting_in_lanes([s.forces[i] for s in steps]) for i in range(len(one.forces))],
-        [_acting_in_lanes([s.frictions[i] for s in steps]) for i in range(len(one.frictions))],
-        one.size,
-        one.alpha,
-        one.u_scale,
-        one.period_s,
-    )

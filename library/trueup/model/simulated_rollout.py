@@ -27,7 +27,7 @@ from trueup.model.simulated_run import Run
 from trueup.model.simulated_sensors import followed, shown
 from trueup.model.simulated_step import Memory, SimulatedStep
 from trueup.model.simulator import MOTION, Simulator
-from trueup.model.timeline import Acting, Timeline, acting_at, commanded
+from trueup.model.timeline import Timeline, acting_at, commanded
 
 Array = NDArray[np.float64]
 
@@ -84,6 +84,12 @@ def _run(
         s.scheme.alpha,
         float(s.u_scale[0]),
         s.period_s,
+        frozenset(
+            x
+            for port in (Port.FORCE, Port.FRICTION)
+            for one_acting in by_port[port]
+            for x in one_acting.effect.arguments()
+        ),
     )
     init = one.init[:, :, kept]
     if one.gain is not None:  # windows start from the filter
@@ -163,7 +169,7 @@ def _roll_side_by_side(windows: Sequence[_Window]) -> None:
     )
     keys = list(ordered[0].memory)
     memory = {key: np.concatenate([w.memory[key] for w in ordered]) for key in keys}
-    step = _together([w.run.step for w in ordered])
+    step = SimulatedStep.side_by_side([w.run.step for w in ordered])
     longest = int(counts[0])
     u, h_s, t_s = (np.zeros((longest, len(ordered), lanes)) for _ in range(3))
     for i, w in enumerate(ordered):
@@ -202,32 +208,6 @@ def _end(
             state[part, MOTION:].copy(),
             {key: x[behind].copy() for key, x in memory.items()},
         )
-
-
-def _together(steps: Sequence[SimulatedStep]) -> SimulatedStep:
-    """One step of all their lanes side by side."""
-    one = steps[0]
-
-    def acting(which: Sequence[Sequence[Acting]]) -> list[Acting]:
-        return [
-            Acting(
-                each[0].effect,
-                {n: np.concatenate([x.numbers[n] for x in each]) for n in each[0].numbers},
-                {},
-            )
-            for each in zip(*which, strict=True)
-        ]
-
-    return SimulatedStep(
-        one.simulator,
-        {n: np.concatenate([s.parameters[n] for s in steps]) for n in one.parameters},
-        acting([s.forces for s in steps]),
-        acting([s.frictions for s in steps]),
-        one.size,
-        one.alpha,
-        one.u_scale,
-        one.period_s,
-    )
 
 
 def _states(run: Run, windows: Sequence[_Window]) -> tuple[Array, Array]:

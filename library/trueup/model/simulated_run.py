@@ -45,12 +45,7 @@ class Run:
         """The hidden states of the simulator `(lanes, hidden)` and of effects before the log."""
         lanes = self.lanes
         hidden = np.tile(np.array(self.step.simulator.begins), (lanes, 1))
-        usual = {
-            "zero": np.zeros(lanes),
-            "u": np.full(lanes, self.series.issued[0, 0]),
-            "first": np.zeros(lanes),
-        }
         memory: Memory = {}
         for one in self.step.forces:
-            memory |= one.begin(usual)
+            memory |= one.begin(self.series.issued[0, 0], lanes)
         return hidden, memory

@@ -69,8 +69,7 @@ def _in_turn(
     """What a sensor shows that remembers, one sample after the other."""
     lanes = states.shape[2]
     keys = [(one.effect.name, state) for state in one.effect.states]
-    usual = {"zero": np.zeros(lanes), "first": np.zeros(lanes), "u": np.zeros(lanes)}
-    memory = one.begin(usual)
+    memory = one.begin(s.issued[0, 0], lanes)
     q, v = np.empty_like(states[:, 0]), np.empty_like(states[:, 0])
     windows = {int(sample): w for w, sample in enumerate(starts)}
     changing = [k for k, x in signals.items() if np.ndim(x)]

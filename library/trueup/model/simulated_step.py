@@ -10,7 +10,7 @@ acceleration of the joint at rest with its nominal parameters (`size`).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,8 @@ NOMINAL_PARTS = {"passive", "drive", "spring"}
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedStep:
     """A simulator with its parameters `(lanes,)` by name, and the effects at its joint. `size` is
-    the force that gives the joint at rest a unit of acceleration."""
+    the force that gives the joint at rest a unit of acceleration, `asked` what the effects ask
+    for."""
 
     simulator: Simulator
     parameters: Mapping[str, Array]
@@ -37,18 +38,28 @@ class SimulatedStep:
     alpha: float
     u_scale: float
     period_s: float
+    asked: frozenset[str]
 
     def at(self, lanes: Any) -> SimulatedStep:
         """The step of some of the lanes."""
-        return SimulatedStep(
-            self.simulator,
-            {name: x[lanes] for name, x in self.parameters.items()},
-            [one.at(lanes) for one in self.forces],
-            [one.at(lanes) for one in self.frictions],
-            self.size,
-            self.alpha,
-            self.u_scale,
-            self.period_s,
+        return replace(
+            self,
+            parameters={name: x[lanes] for name, x in self.parameters.items()},
+            forces=[one.at(lanes) for one in self.forces],
+            frictions=[one.at(lanes) for one in self.frictions],
+        )
+
+    @staticmethod
+    def side_by_side(steps: Sequence[SimulatedStep]) -> SimulatedStep:
+        """One step in the lanes of several."""
+        names = steps[0].parameters
+        return replace(
+            steps[0],
+            parameters={n: np.concatenate([s.parameters[n] for s in steps]) for n in names},
+            forces=[Acting.side_by_side(x) for x in zip(*(s.forces for s in steps), strict=True)],
+            frictions=[
+                Acting.side_by_side(x) for x in zip(*(s.frictions for s in steps), strict=True)
+            ],
         )
 
     @property
@@ -61,36 +72,30 @@ class SimulatedStep:
     ) -> tuple[Array, Memory]:
         """States `(lanes, states)` and memory a step of `h_s` [s] `(lanes,)` later, under commands
         `(lanes,)` and a `push`, an acceleration that nothing explains."""
-        simulator = self.simulator
-        exact = bool((h_s == simulator.timestep_s).all())
-        h = None if exact else h_s
+        free = self._moved(state, u, h_s)
         if not self.acts:
-            after = simulator.moved(state, u, self.parameters, h)
-            return (after if np.isscalar(push) else _pushed(after, h_s, push)), memory
-        free = simulator.moved(state, u, self.parameters, h)
-        signals = self._signals(state, free, u, h_s, t_s, h)
+            return (free if np.isscalar(push) else _pushed(free, h_s, push)), memory
+        signals = self._signals(state, free, u, h_s, t_s)
         before, memory = signals["a"], dict(memory)
         for one in self.forces:
             signals["a"], *states = one.value(signals, memory)
             memory.update(zip(((one.effect.name, x) for x in one.effect.states), states))  # noqa: B905
         more = (signals["a"] - before + push) * self.size
         if not self.frictions:
-            return simulator.moved(state, u, self.parameters, h, more), memory
+            return self._moved(state, u, h_s, more), memory
         level: Any = 0.0
         for one in self.frictions:
             level = level + one.value(signals, memory)[0]
         if self.forces or not np.isscalar(push):
-            free = simulator.moved(state, u, self.parameters, h, more)
+            free = self._moved(state, u, h_s, more)
         against = -np.copysign(level * self.size, free[:, 1])
-        held = simulator.moved(state, u, self.parameters, h, more + against)
+        held = self._moved(state, u, h_s, more + against)
         slowed = free[:, 1] - held[:, 1]
         with np.errstate(divide="ignore", invalid="ignore"):
             share = np.where(slowed != 0.0, np.clip(free[:, 1] / slowed, 0.0, 1.0), 1.0)
         return free + share[:, None] * (held - free), memory
 
-    def _signals(
-        self, state: Array, free: Array, u: Array, h_s: Array, t_s: Any, h: Array | None
-    ) -> dict[str, Any]:
+    def _signals(self, state: Array, free: Array, u: Array, h_s: Array, t_s: Any) -> dict[str, Any]:
         """What effects at the joint may ask for."""
         at = state[:, :MOTION] + self.alpha * (free[:, :MOTION] - state[:, :MOTION])
         signals: dict[str, Any] = {
@@ -104,29 +109,31 @@ class SimulatedStep:
             "u_scale": self.u_scale,
             "period": self.period_s,
         }
-        asked = {x for one in (*self.forces, *self.frictions) for x in one.effect.arguments()}
-        if asked & NOMINAL_PARTS:
+        if self.asked & NOMINAL_PARTS:
             there = state.copy()
             there[:, :MOTION] = at
-            signals["passive"] = self._undriven(there, h_s, h)
+            signals["passive"] = self._undriven(there, h_s)
             signals["drive"] = signals["a"] - signals["passive"]
             there[:, 1] = 0.0
-            signals["spring"] = self._undriven(there, h_s, h)
-        if "mobility" in asked:
+            signals["spring"] = self._undriven(there, h_s)
+        if "mobility" in self.asked:
             unit = np.full(len(u), self.size)
-            pushed = self.simulator.moved(state, u, self.parameters, h, unit)
+            pushed = self._moved(state, u, h_s, unit)
             signals["mobility"] = (pushed[:, 1] - free[:, 1]) / h_s
         return signals
 
-    def _undriven(self, there: Array, h_s: Array, h: Array | None) -> Array:
+    def _moved(self, state: Array, u: Array, h_s: Array, force: Array | None = None) -> Array:
+        return self.simulator.moved(state, u, self.parameters, h_s, force)
+
+    def _undriven(self, there: Array, h_s: Array) -> Array:
         """The mean acceleration without a command over a step of which a state is the part `alpha`,
         `(lanes,)`."""
         none = np.zeros(len(there))
         begin = there
         if self.alpha:
-            passes = self.simulator.moved(there, none, self.parameters, h) - there
+            passes = self._moved(there, none, h_s) - there
             begin = there - self.alpha * passes
-        after = self.simulator.moved(begin, none, self.parameters, h)
+        after = self._moved(begin, none, h_s)
         return np.asarray((after[:, 1] - begin[:, 1]) / h_s)
 
 

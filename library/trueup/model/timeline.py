@@ -36,7 +36,7 @@ SIGNAL = {Port.TIMING: "h", Port.COMMAND: "u", Port.FORCE: "a", Port.FRICTION: "
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Acting:
-    """An effect that acts, with its numbers `(…, lanes)` by name, and how far from its usual value
+    """An effect that acts, with its numbers `(lanes,)` by name, and how far from its usual value
     each of its hidden states began."""
 
     effect: type[Effect]
@@ -65,12 +65,26 @@ class Acting:
 
     def at(self, lanes: Any) -> Acting:
         """The effect in some of the lanes."""
-        return Acting(self.effect, {k: x[..., lanes] for k, x in self.numbers.items()}, self.began)
+        numbers, began = (
+            {k: x[lanes] for k, x in table.items()} for table in (self.numbers, self.began)
+        )
+        return Acting(self.effect, numbers, began)
 
-    def begin(self, usual: Mapping[str, Any]) -> dict[tuple[str, str], Any]:
-        """What the effect remembers at the beginning, where its usual values are these."""
+    @staticmethod
+    def side_by_side(each: Sequence[Acting]) -> Acting:
+        """One effect in the lanes of several."""
+        numbers, began = (
+            {k: np.concatenate([table[k] for table in tables]) for k in tables[0]}
+            for tables in ([x.numbers for x in each], [x.began for x in each])
+        )
+        return Acting(each[0].effect, numbers, began)
+
+    def begin(self, command: Any, lanes: int) -> dict[tuple[str, str], Array]:
+        """What the effect remembers at the beginning, `(lanes,)` each, under a first command,
+        one for all or `(lanes,)`."""
+        usual = {"zero": 0.0, "first": 0.0, "u": command}
         return {
-            (self.effect.name, state): usual[begins] + self.began.get(state, 0.0)
+            (self.effect.name, state): np.full(lanes, usual[begins]) + self.began.get(state, 0.0)
             for state, begins in zip(self.effect.states, self.effect.begins, strict=True)
         }
 
@@ -159,8 +173,7 @@ def _in_turn(one: Acting, signals: Mapping[str, Any], signal: str, s: Series, la
     remembers."""
     if not one.effect.states:
         return np.asarray(one.value(signals, {})[0])
-    usual = {"zero": np.zeros(lanes), "u": np.full(lanes, s.issued[0, 0]), "first": np.zeros(lanes)}
-    memory = one.begin(usual)
+    memory = one.begin(s.issued[0, 0], lanes)
     keys = list(memory)
     after = np.empty(np.broadcast_shapes(np.shape(signals[signal]), (1, lanes)))
     changing = [k for k, x in signals.items() if np.ndim(x) == 2]  # noqa: PLR2004  (steps by lanes)
@@ -179,10 +192,10 @@ def _late(s: Series, acting: Sequence[Acting], lanes: int) -> tuple[Array, Array
     late_s, past = np.zeros(lanes), np.zeros(lanes)
     for one in acting:
         if one.effect.delays():
-            memory = one.begin({"u": s.issued[0, 0], "zero": 0.0, "first": 0.0})
-            late_s = one.value({"lag_s": late_s, "period": s.period_s}, memory)[0] + np.zeros(lanes)
+            memory = one.begin(s.issued[0, 0], lanes)
+            late_s = one.value({"lag_s": late_s, "period": s.period_s}, memory)[0]
             if memory and one.effect.port is Port.COMMAND:
-                past = next(iter(memory.values())) + np.zeros(lanes)
+                past = next(iter(memory.values()))
     return late_s, past
 
 
