@@ -189,6 +189,12 @@ class Plant:
         name = kind(term).name
         return f"{name} at {self.joint_name(joint(term))}" if self.names_joints else name
 
+    def number_name(self, term: str, number: str) -> str:
+        """What an effect's number is called in a family of plants: `EFFECT.NUMBER`, where there are
+        several joints `EFFECT@JOINT.NUMBER`."""
+        at = f"@{self.joint_name(joint(term))}" if self.names_joints else ""
+        return f"{kind(term).name}{at}.{number}"
+
     def joint_name(self, joint: int) -> str:
         """What a joint is called in a report."""
         return self.joints[joint] or "joint"

@@ -15,7 +15,6 @@ import numpy as np
 
 from trueup.canonical import Json
 from trueup.collect.ensemble import Ensemble
-from trueup.model.block import joint, kind
 from trueup.model.corrected import Corrected
 from trueup.model.plant import Plant
 from trueup.randomise.randomisation import SCHEMA
@@ -92,7 +91,6 @@ def _names(ensemble: Ensemble) -> dict[int, str]:
     plant: Plant = ensemble.plant
     names = dict(enumerate(plant.dynamics.parameter_names))
     for term in ensemble.hypothesis.effects:
-        at = f"@{plant.joint_name(joint(term))}" if plant.names_joints else ""
         for number, row in plant.block.rows_of(term).items():
-            names[row] = f"{kind(term).name}{at}.{number}"
+            names[row] = plant.number_name(term, number)
     return names
