@@ -25,7 +25,7 @@ from trueup.diagnose.summary_text import composition
 from trueup.episode.episode import Episode
 from trueup.model.plant import Plant
 from trueup.model.series import Scheme
-from trueup.model.simulator import offer
+from trueup.model.simulator.simulator import offer
 
 WANTED = 20.0  # times as long at most
 FIRST = 20

@@ -219,7 +219,7 @@ def _load_own_files() -> None:
         for file in effects:
             load_effect(file)
     if simulators:
-        from trueup.model.simulator import load_simulator
+        from trueup.model.simulator.simulator import load_simulator
 
         for file in simulators:
             load_simulator(file)

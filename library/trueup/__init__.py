@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from trueup.artifact.model import Model, load
     from trueup.model.effect import load_effect
-    from trueup.model.simulator import load_simulator
+    from trueup.model.simulator.simulator import load_simulator
     from trueup.notebook.case import Case
     from trueup.notebook.compare import Comparison, compare
     from trueup.notebook.diagnosis import Diagnosis, diagnose
@@ -54,7 +54,7 @@ _MODULES = {
     "Model": "trueup.artifact.model",
     "load": "trueup.artifact.model",
     "load_effect": "trueup.model.effect",
-    "load_simulator": "trueup.model.simulator",
+    "load_simulator": "trueup.model.simulator.simulator",
     "BlindTrial": "trueup.notebook.trials",
     "Case": "trueup.notebook.case",
     "Comparison": "trueup.notebook.compare",

@@ -30,7 +30,7 @@ from trueup.gate.decision import Gate
 from trueup.model.nominal_form import resolved
 from trueup.model.plant import Plant
 from trueup.model.predictor import Nominal
-from trueup.model.simulator import load_simulator
+from trueup.model.simulator.simulator import load_simulator
 from trueup.randomise.randomisation import Randomisation
 from trueup.recording.mapping import read_mapping
 from trueup_cli.main import app

@@ -25,7 +25,7 @@ from trueup.model.corrected import Corrected
 from trueup.model.dynamics import CompiledTree, Dynamics
 from trueup.model.effect import Effect, Number, Scale, effects
 from trueup.model.plant import Plant
-from trueup.model.simulated import SimulatedDynamics
+from trueup.model.simulator.dynamics import SimulatedDynamics
 from trueup.model.tree import SLIDE
 
 Array = NDArray[np.float64]

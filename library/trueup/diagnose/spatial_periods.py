@@ -26,7 +26,7 @@ from trueup.fit.base_parameters import columns
 from trueup.model.dynamics import CompiledFamily, Dynamics
 from trueup.model.plant import Plant
 from trueup.model.rounding import GUESS_BITS, rounded
-from trueup.model.simulated import SimulatedDynamics
+from trueup.model.simulator.dynamics import SimulatedDynamics
 from trueup.model.state import smoothed_states
 from trueup.model.tree import GAIN, JOINT, LINK, OFFSET
 

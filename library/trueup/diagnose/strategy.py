@@ -14,7 +14,7 @@ from functools import singledispatch
 from trueup.diagnose.model_selection import SelectionCriteria
 from trueup.model.dynamics import CompiledFamily, CompiledTree, Dynamics
 from trueup.model.plant import Plant
-from trueup.model.simulated import SimulatedDynamics
+from trueup.model.simulator.dynamics import SimulatedDynamics
 
 MANY_JOINTS = 4  # from so many on, a fit takes so long that fewer are made
 PAIR = 2  # effects

@@ -22,7 +22,7 @@ from trueup.fit.base_parameters import columns as tree_columns
 from trueup.model.dynamics import CompiledFamily, CompiledTree, Dynamics
 from trueup.model.plant import Plant
 from trueup.model.series import positions_and_velocities
-from trueup.model.simulated import SimulatedDynamics
+from trueup.model.simulator.dynamics import SimulatedDynamics
 from trueup.model.tree import DAMPING, GAIN, JOINT, LINK, OFFSET, SERVO, STIFFNESS
 
 Array = NDArray[np.float64]

@@ -29,7 +29,7 @@ from trueup.model.effect import effects
 from trueup.model.mjcf_patch import Left
 from trueup.model.plant import Plant
 from trueup.model.predictor import Physical, Predictor
-from trueup.model.simulated import SimulatedDynamics
+from trueup.model.simulator.dynamics import SimulatedDynamics
 from trueup.model.tree import (
     ARMATURE,
     DAMPING,

@@ -23,7 +23,7 @@ from trueup.fit.free_numbers import STEP, Directions
 from trueup.model.dynamics import CompiledTree, Dynamics
 from trueup.model.plant import Plant
 from trueup.model.rounding import GUESS_BITS, rounded
-from trueup.model.simulated import SimulatedDynamics
+from trueup.model.simulator.dynamics import SimulatedDynamics
 from trueup.model.state import smoothed_states
 from trueup.model.tree import (
     ARMATURE,

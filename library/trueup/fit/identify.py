@@ -20,7 +20,7 @@ from trueup.model.dynamics import CompiledFamily, CompiledTree, Dynamics
 from trueup.model.limits import unsaturated
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified
-from trueup.model.simulated import SimulatedDynamics
+from trueup.model.simulator.dynamics import SimulatedDynamics
 from trueup.model.tree import OFFSET
 
 GAUSS_NEWTON = 10  # steps: a simulator's numbers may enter in any way

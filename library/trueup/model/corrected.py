@@ -36,7 +36,7 @@ from trueup.model.series import (
     unobserved,
     whole,
 )
-from trueup.model.simulated import SimulatedDynamics
+from trueup.model.simulator.dynamics import SimulatedDynamics
 from trueup.model.state import past_states
 from trueup.model.velocity_prior import VelocityPrior
 from trueup.model.windows import Windows

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from trueup.model.block import BLOCK, Block
 from trueup.model.effect import effects
 from trueup.model.family import Family, families
-from trueup.model.simulator import Simulator
+from trueup.model.simulator.simulator import Simulator
 from trueup.model.tree import (
     FRICTION,
     GAIN,

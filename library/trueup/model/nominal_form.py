@@ -12,8 +12,8 @@ from trueup.model.dynamics import CompiledFamily, CompiledTree, Dynamics
 from trueup.model.family import families
 from trueup.model.fields import Reader
 from trueup.model.mjcf import with_tree
-from trueup.model.simulated import SimulatedDynamics
-from trueup.model.simulator import Simulator, digest_of_file, step_at_hand
+from trueup.model.simulator.dynamics import SimulatedDynamics
+from trueup.model.simulator.simulator import Simulator, digest_of_file, step_at_hand
 from trueup.model.tree import ZERO, Tree
 from trueup.model.tree_regressors import mass_matrix
 

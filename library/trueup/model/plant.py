@@ -22,7 +22,7 @@ from trueup.model.dynamics import (
 )
 from trueup.model.fields import Reader
 from trueup.model.nominal_form import read_nominal
-from trueup.model.simulated import SimulatedDynamics
+from trueup.model.simulator.dynamics import SimulatedDynamics
 from trueup.model.tree import Tree
 
 Array = NDArray[np.float64]

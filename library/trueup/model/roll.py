@@ -46,7 +46,7 @@ def roll_each(
     simulator all at once.
     """
     if form.simulator is not None:
-        from trueup.model.simulated_rollout import roll_simulator  # noqa: PLC0415  (seldom needed)
+        from trueup.model.simulator.rollout import roll_simulator  # noqa: PLC0415  (seldom needed)
 
         size = float(form.sizes[0])
         rolled = roll_simulator(form.simulator, size, form.block, on, asked)

@@ -21,7 +21,7 @@ from trueup.fit.first_model import describe, undriven
 from trueup.model.mjcf import compile_file
 from trueup.model.nominal_form import resolved
 from trueup.model.plant import Plant
-from trueup.model.simulator import load_simulator, offer, takes_step
+from trueup.model.simulator.simulator import load_simulator, offer, takes_step
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
 from trueup.model.predictor import Nominal
 from trueup.model.series import refined
-from trueup.model.simulator import offer
+from trueup.model.simulator.simulator import offer
 
 # so fine a step that the simulator's own integrator, of first order, is not what is compared
 STEP_S, HOLD, PERIOD_S = 0.0001, 20, 0.002

@@ -16,7 +16,7 @@ from trueup.model.hypothesis import Hypothesis, Scales, begun, switches
 from trueup.model.plant import Plant
 from trueup.model.roll import roll
 from trueup.model.series import Scheme, Series, integral_of
-from trueup.model.simulator import Simulator, load_simulator, offer
+from trueup.model.simulator.simulator import Simulator, load_simulator, offer
 
 EXAMPLE = ROOT / "examples" / "own-simulator" / "pendulum.py"
 PARAMETERS = {"k": 9.8, "c": 0.2, "b": 1.0}

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.model.simulator import MOTION, Simulator
-from trueup.model.timeline import Acting
+from trueup.model.simulator.simulator import MOTION, Simulator
+from trueup.model.simulator.timeline import Acting
 
 Array = NDArray[np.float64]
 Memory = dict[tuple[str, str], Array]  # hidden states by effect and name, `(lanes,)`

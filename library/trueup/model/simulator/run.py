@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.model.series import Series
-from trueup.model.simulated_step import Memory, SimulatedStep
-from trueup.model.timeline import Acting, Timeline
+from trueup.model.simulator.step import Memory, SimulatedStep
+from trueup.model.simulator.timeline import Acting, Timeline
 
 Array = NDArray[np.float64]
 

@@ -177,7 +177,7 @@ def digest_of_file(name: str) -> str | None:
 
 
 def _onnx(path: Path) -> Step:
-    from trueup.model.simulator_onnx import OnnxStep  # noqa: PLC0415  (optional)
+    from trueup.model.simulator.onnx_step import OnnxStep  # noqa: PLC0415  (optional)
 
     return OnnxStep.read(path)
 

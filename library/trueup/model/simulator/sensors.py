@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.model.series import Series
-from trueup.model.timeline import Acting
+from trueup.model.simulator.timeline import Acting
 
 Array = NDArray[np.float64]
 

@@ -22,12 +22,12 @@ from numpy.typing import NDArray
 from trueup.model.block import Block
 from trueup.model.effect import Port
 from trueup.model.series import RolloutOf
-from trueup.model.simulated_filter import filtered
-from trueup.model.simulated_run import Run
-from trueup.model.simulated_sensors import followed, shown
-from trueup.model.simulated_step import Memory, SimulatedStep
-from trueup.model.simulator import MOTION, Simulator
-from trueup.model.timeline import Timeline, acting_at, commanded
+from trueup.model.simulator.filter import filtered
+from trueup.model.simulator.run import Run
+from trueup.model.simulator.sensors import followed, shown
+from trueup.model.simulator.simulator import MOTION, Simulator
+from trueup.model.simulator.step import Memory, SimulatedStep
+from trueup.model.simulator.timeline import Timeline, acting_at, commanded
 
 Array = NDArray[np.float64]
 

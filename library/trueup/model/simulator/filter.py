@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.model.simulated_run import Run
-from trueup.model.simulated_step import Memory, SimulatedStep
-from trueup.model.simulator import MOTION
-from trueup.model.timeline import Acting
+from trueup.model.simulator.run import Run
+from trueup.model.simulator.simulator import MOTION
+from trueup.model.simulator.step import Memory, SimulatedStep
+from trueup.model.simulator.timeline import Acting
 
 Array = NDArray[np.float64]
 FORCE = 2  # the row of a gain that corrects a disturbing acceleration

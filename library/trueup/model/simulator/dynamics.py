@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from trueup.errors import BadSimulator
 from trueup.model.block import Block
 from trueup.model.dynamics import Dynamics, Form
-from trueup.model.simulator import MOTION, Simulator
+from trueup.model.simulator.simulator import MOTION, Simulator
 from trueup.model.tree import TREE
 
 Array = NDArray[np.float64]
