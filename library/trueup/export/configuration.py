@@ -38,7 +38,7 @@ def heading(drives: Drives, version: str, more: Sequence[str]) -> list[str]:
         lines += ["", *_wrapped(f"The recordings cannot tell this from: {other}.")]
     if drives.inertia is not None:
         lines += ["", *_wrapped(f"Forces are for an inertia of {drives.inertia:g}.")]
-    elif drives.is_of_a_family:
+    elif drives.is_per_inertia:
         unit = "Forces are per unit of inertia: give the joint's with --inertia, or multiply them."
         lines += ["", *_wrapped(unit)]
     if drives.gravity:

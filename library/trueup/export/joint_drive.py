@@ -118,7 +118,7 @@ class Drives:
     beside: str = ""
 
     @property
-    def is_of_a_family(self) -> bool:
+    def is_per_inertia(self) -> bool:
         """Whether forces are per unit of inertia, where no inertia was given."""
         return self.plant.form.per_inertia
 

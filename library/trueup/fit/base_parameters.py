@@ -73,7 +73,8 @@ def _of_simulator(
     together, as an inertia and all that acts on it, the last by name stays as declared."""
     numbers = np.array(plant.parameters)
     size = np.where(numbers != 0.0, np.abs(numbers), 1.0)
-    q, v, _, u = (np.concatenate(m) for m in zip(*(_moments(plant, e) for e in episodes)))  # noqa: B905
+    moments = [_moments(plant, e) for e in episodes]
+    q, v, _, u = (np.concatenate(m) for m in zip(*moments, strict=True))
     every = -(-len(q) // MOST_ROWS)
     states = np.column_stack([q, v])[::every]
     design = dynamics.slopes(numbers, states, u[::every]) * size

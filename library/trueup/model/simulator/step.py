@@ -79,7 +79,8 @@ class SimulatedStep:
         before, memory = signals["a"], dict(memory)
         for one in self.forces:
             signals["a"], *states = one.value(signals, memory)
-            memory.update(zip(((one.effect.name, x) for x in one.effect.states), states))  # noqa: B905
+            keys = ((one.effect.name, state) for state in one.effect.states)
+            memory.update(zip(keys, states, strict=True))
         more = (signals["a"] - before + push) * self.size
         if not self.frictions:
             return self._moved(state, u, h_s, more), memory
