@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from trueup.model.effect import Effect, Port, effects
 from trueup.model.families.inertia import Inertia
-from trueup.model.joint_step import Joint
+from trueup.model.joint_effects import JointEffects
+from trueup.model.joint_step import JointStep
 from trueup_cli.pictures.drawing import (
     PALE,
     SERIES,
@@ -214,13 +215,13 @@ def _rung(
     """A drive that jumps, and how the load's speed answers."""
     t, speeds = _times(), []
     for acting in ((), ((effect, values),)):
-        joint, q, v = Joint(Inertia, (0.8, 1.0), acting, 0.5, 1.0, PERIOD_S), 0.0, 0.0
-        memory, found = joint.begin(0.0, 0.0), []
+        step = JointStep(Inertia, (0.8, 1.0), [JointEffects(acting, 1.0, PERIOD_S)], 0.5)
+        q, v, found = [0.0], [0.0], []
+        memory = step.begin(v, [0.0])
         for now in t:
-            found.append(v)
-            q, v, memory = joint.advance(
-                q, v, memory, 1.0 if now < SECONDS / 2.0 else -1.0, PERIOD_S
-            )
+            found.append(v[0])
+            u = [1.0 if now < SECONDS / 2.0 else -1.0]
+            q, v, memory = step.advance(q, v, memory, u, PERIOD_S)
         speeds.append(np.array(found))
     return (
         t,
@@ -250,11 +251,7 @@ def _seen(
             [("true", q), ("logged", np.sin(1.5 * np.maximum(t - values["delay"], 0.0)))],
             ("time [s]", "position"),
         )
-    joint, memory, shown = (
-        Joint(Inertia, (0.0, 1.0), [(effect, values)], 0.0, 1.0, PERIOD_S),
-        {},
-        [],
-    )
+    joint, shown = JointEffects([(effect, values)], 1.0, PERIOD_S), []
     memory = joint.begin(v[0], 0.0)
     for at, speed, now in zip(q, v, t, strict=True):
         *both, memory = joint.shown(at, speed, memory, now)

@@ -293,12 +293,13 @@ def test_names_that_differ_stay_different(service):
     assert passing.key("k_1.b-c") == "k_1.b-c"
 
 
-def test_a_robot_loads_as_a_function_alone(service, tmp_path):
+def test_a_robot_loads_as_a_function_and_as_a_graph(service, tmp_path):
     plant = arm_plant(tmp_path)
     kept(Identified(plant, plant.parameters), tmp_path / "m" / "artifact")
     model = write_mlflow_model(tmp_path / "m", None, "2026-01-02T03:04:05Z")
-    assert set(json.loads((tmp_path / "m" / FILE).read_text())["flavors"]) == {"python_function"}
-    assert not (tmp_path / "m" / "model.onnx").exists()
+    flavors = json.loads((tmp_path / "m" / FILE).read_text())["flavors"]
+    assert set(flavors) == {"python_function", "onnx"}
+    assert (tmp_path / "m" / "model.onnx").stat().st_size > 0
     assert set(passing.numbers(model)) == {
         passing.key(name) for name in Plant.from_document(plant.document).dynamics.parameter_names
     } | {"kind"}

@@ -8,8 +8,8 @@ import numpy as np
 
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
+from trueup.model.mjcf import compile_file, tree_of
 from trueup.model.mjcf import mujoco as engine
-from trueup.model.mjcf import tree_of
 from trueup.model.nominal_form import resolved
 from trueup.model.plant import Plant
 from trueup.simulate.robot import RobotMachine
@@ -85,6 +85,27 @@ def arm_plant(folder, **more):
     (folder / "arm.xml").write_text(ARM)
     (folder / "plant.json").write_text(json.dumps(arm_document(**more)))
     return Plant.from_document(resolved(arm_document(**more), folder))
+
+
+def plant_of(folder, text, driven, name="robot.xml", period_s=0.002):
+    """Writes a robot's file, and returns its plant, every joint of which is observed."""
+    (folder / name).write_text(text)
+    joints = compile_file(folder / name).tree.joints
+    fields = (("q", "position", "rad"), ("v", "velocity", "rad/s"))
+    document = {
+        "name": "robot",
+        "nominal": {"mjcf": name, "timestep_s": period_s},
+        "commands": [
+            {"name": f"u_{j}", "joint": j, "unit": "N·m", "limits": [-30.0, 30.0]} for j in driven
+        ],
+        "observations": [
+            {"name": f"{s}_{j}", "joint": j, "field": f, "unit": u}
+            for s, f, u in fields
+            for j in joints
+        ],
+        "evaluation": {"horizon_s": 0.4},
+    }
+    return Plant.from_document(resolved(document, folder))
 
 
 def recorded(plant, change, seeds, roles, seconds=2.0, noise=(2e-4, 3e-3)):

@@ -5,7 +5,7 @@ other tools read.
                    from
     artifact/      manifest.json and arrays.safetensors: the artifact itself, every byte as its
                    digest names it
-    model.onnx     of one joint, its step
+    model.onnx     its step, but of a simulator of one's own
 
 It loads as a `python_function` where trueup is installed, and as `onnx` where it is not. Source of
 the format: MLflow 3, "MLflow models".
@@ -80,7 +80,7 @@ def write_mlflow_model(folder: Path, run: str | None, created: str) -> Model:
         (folder / "model.onnx").write_bytes(to_onnx(model.predictor, model.digest))
         flavors["onnx"] = {"data": "model.onnx", "onnx_version": importlib.metadata.version("onnx")}
     except NotExportable:
-        pass  # a robot has no graph
+        pass  # a simulator has no graph
     document: dict[str, Json] = {
         "run_id": run,
         "utc_time_created": created.replace("T", " ").removesuffix("Z"),

@@ -20,10 +20,11 @@ from numpy.typing import NDArray
 from trueup.canonical import Json
 from trueup.errors import NotExportable
 from trueup.model.block import BLOCK, joint, kind, term
-from trueup.model.dynamics import CompiledFamily, Dynamics
+from trueup.model.dynamics import CompiledFamily, CompiledTree, Dynamics
 from trueup.model.effect import Port, effects, known_effect, source_of
 from trueup.model.hypothesis import Hypothesis, switches
-from trueup.model.joint_step import Joint
+from trueup.model.joint_effects import Acting, JointEffects
+from trueup.model.joint_step import JointStep
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor
 from trueup.model.roll import roll, roll_each
@@ -38,6 +39,9 @@ from trueup.model.series import (
 )
 from trueup.model.simulator.dynamics import SimulatedDynamics
 from trueup.model.state import past_states
+from trueup.model.stepping import Columns, Stepping
+from trueup.model.tree_dynamics import TreeDynamics
+from trueup.model.tree_step import TreeStep
 from trueup.model.velocity_prior import VelocityPrior
 from trueup.model.windows import Windows
 
@@ -70,10 +74,9 @@ class Corrected(Predictor):
         return Corrected(plant, Hypothesis(), tuple(float(x) for x in values), DECLARED)
 
     @cached_property
-    def joint(self) -> Joint:
-        """The joint of a family, with the effects that act at it. Raises NotExportable of a robot,
-        whose step solves its joints together."""
-        return _joint(self.plant.dynamics, self)
+    def stepping(self) -> Stepping:
+        """The model one step at a time, in numpy. Raises NotExportable of a simulator."""
+        return _stepping(self.plant.dynamics, self)
 
     def predict_batch(
         self, states: Array, issued: Array, h_s: Array | float | None = None
@@ -211,38 +214,48 @@ class Corrected(Predictor):
 
 
 @singledispatch
-def _joint(_: Dynamics, model: Corrected) -> Joint:
-    raise NotExportable(
-        f"{model.plant.name} is a robot given as MJCF: its step solves its joints together",
-        hint=(
-            "Export its corrected MJCF instead: `trueup convert MODEL corrected.xml --mjcf FILE`."
-        ),
-    )
+def _stepping(_: Dynamics, model: Corrected) -> Stepping:
+    raise TypeError(type(model.plant.dynamics).__name__)
 
 
-@_joint.register
-def _joint_of_simulator(_: SimulatedDynamics, model: Corrected) -> Joint:
+@_stepping.register
+def _stepping_of_simulator(_: SimulatedDynamics, model: Corrected) -> Stepping:
     raise NotExportable(
         f"{model.plant.name} is a simulator of your own: its step has no graph",
         hint="Take the corrected drive elsewhere: `trueup convert --target`, or answer.export().",
     )
 
 
-@_joint.register
-def _joint_of_family(dynamics: CompiledFamily, model: Corrected) -> Joint:
-    rows = model.plant.block.rows_of
-    return Joint(
-        dynamics.family,
-        model.values[: len(dynamics.parameter_names)],
-        [
-            (effect, {number: model.values[row] for number, row in rows(name).items()})
-            for name, effect in effects().items()
-            if name in model.hypothesis.effects
-        ],
+@_stepping.register
+def _stepping_of_family(dynamics: CompiledFamily, model: Corrected) -> Stepping:
+    numbers = model.values[: len(dynamics.parameter_names)]
+    return JointStep(dynamics.family, numbers, _effects_by_joint(model), model.scheme.alpha)
+
+
+@_stepping.register
+def _stepping_of_tree(dynamics: CompiledTree, model: Corrected) -> Stepping:
+    tree = dynamics.tree
+    numbers = np.array(model.values[: len(tree.parameters)])
+    return TreeStep(
+        tree.joints,
+        TreeDynamics(tree.constants, numbers),
+        _effects_by_joint(model),
+        dynamics.form.sizes,
         model.scheme.alpha,
-        float(model.plant.command_scales[0]),
-        model.plant.timestep_s,
     )
+
+
+def _effects_by_joint(model: Corrected) -> list[JointEffects]:
+    """The effects that act at each joint, in their order."""
+    in_order, plant = list(effects()), model.plant
+    acting: list[list[Acting]] = [[] for _ in plant.joints]
+    for t in sorted(model.hypothesis.effects, key=lambda t: in_order.index(kind(t).name)):
+        rows = plant.block.rows_of(t)
+        acting[joint(t)].append((kind(t), {name: model.values[row] for name, row in rows.items()}))
+    return [
+        JointEffects(some, float(scale), plant.timestep_s)
+        for some, scale in zip(acting, plant.command_scales, strict=True)
+    ]
 
 
 @singledispatch
@@ -259,10 +272,12 @@ def _advance(_: Dynamics, model: Corrected, states: Array, applied: Array, span:
 def _advance_family(
     _: CompiledFamily, model: Corrected, states: Array, applied: Array, span: Array
 ) -> Array:
-    q, v = states[:, 0], states[:, 1]
+    q: Columns = [states[:, 0]]
+    v: Columns = [states[:, 1]]
+    u = [applied[:, 0]]
     for _part in range(model.scheme.parts):
-        q, v, _memory = model.joint.advance(q, v, {}, applied[:, 0], span / model.scheme.parts)
-    return np.stack([q, v], axis=1)
+        q, v, _memory = model.stepping.advance(q, v, [{}], u, span / model.scheme.parts)
+    return np.stack([*q, *v], axis=1)
 
 
 @singledispatch

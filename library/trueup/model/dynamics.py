@@ -18,22 +18,22 @@ from numpy.typing import NDArray
 from trueup.model.block import BLOCK, Block
 from trueup.model.effect import effects
 from trueup.model.family import Family, families
+from trueup.model.joint_effects import JointEffects
 from trueup.model.simulator.simulator import Simulator
 from trueup.model.tree import (
     FRICTION,
     GAIN,
     JOINT,
-    LIMIT,
     LINK,
     OFFSET,
-    REST,
     SERVO,
-    SWEEPS,
     TREE,
     ZERO,
     Tree,
 )
-from trueup.model.tree_regressors import mass_matrix, regressors
+from trueup.model.tree_dynamics import TreeDynamics
+from trueup.model.tree_regressors import mass_matrix
+from trueup.model.tree_step import TreeStep
 
 Array = NDArray[np.float64]
 TREE_FORM = -1  # the number of a tree, where a family has its own
@@ -275,34 +275,13 @@ class CompiledTree(Dynamics):
         return np.asarray(mass_matrix(moved, q) / self.form.sizes[None, :, None])
 
     def step(self, state: Array, applied: Array, parameters: Array, h_s: Array | float) -> Array:
-        """State after `h_s` [s], in numpy: the compiled rollout's reference."""
-        joints, tree = self.joints, self.tree
-        given = np.broadcast_to(parameters.T, (len(state), len(parameters)))
-        q, v = state[:, :joints], state[:, joints:]
-        h = np.broadcast_to(h_s, len(state))[:, None]
-        inertial, at_joint = (
-            given[:, : LINK * joints],
-            given[:, LINK * joints :].reshape(-1, joints, JOINT),
-        )
-        columns = np.stack(
-            [
-                regressors(tree, q, 0.0 * v, 0.0 * v + axis, gravity=False)
-                for axis in np.eye(joints)
-            ],
-            axis=2,
-        )
-        mass = np.einsum("njkp,np->njk", columns, inertial)
-        bias = np.einsum("njp,np->nj", regressors(tree, q, v, 0.0 * v), inertial)
-        armature, damping, gain, servo, stiffness, friction = np.moveaxis(at_joint, 2, 0)
-        mass[:, range(joints), range(joints)] += armature + h * damping
-        limit = tree.constants[:, LIMIT]
-        driven = np.clip(gain * applied - servo * q + tree.constants[:, OFFSET], -limit, limit)
-        force = driven - stiffness * (q - tree.constants[:, REST]) - damping * v - bias
-        inverse = np.linalg.inv(mass)
-        after = _after_dry_friction(
-            inverse, h * friction, v + h * np.einsum("njk,nk->nj", inverse, force)
-        )
-        return np.concatenate([q + h * after, after], axis=1)
+        """State after `h_s` [s], in numpy."""
+        joints, none = self.joints, JointEffects((), 1.0, 0.0)
+        numbers = TreeDynamics(self.tree.constants, parameters.T)
+        step = TreeStep(self.tree.joints, numbers, [none] * joints, self.form.sizes, 0.0)
+        q, v, u = (list(x.T) for x in (state[:, :joints], state[:, joints:], applied))
+        q, v, _ = step.advance(q, v, [{}] * joints, u, h_s)  # type: ignore[assignment]
+        return np.stack([*q, *v], axis=1)
 
     def hold(
         self, parameters: Array, states: Array, applied: Array, h_s: float, steps: int
@@ -351,21 +330,6 @@ class CompiledTree(Dynamics):
                 -1, windows, samples, 2 * joints
             )
         return states
-
-
-def _after_dry_friction(inverse_mass: Array, held: Array, v: Array) -> Array:
-    """Velocities `(n, joints)` after dry friction whose impulses are no larger than `held`, each of
-    which only ever stops its joint."""
-    v, impulse = v.copy(), np.zeros_like(v)
-    rubs = np.flatnonzero((held > 0.0).any(axis=0))
-    for _ in range(SWEEPS if len(rubs) > 1 else 1):
-        for j in rubs:
-            wanted = np.clip(
-                impulse[:, j] - v[:, j] / inverse_mass[:, j, j], -held[:, j], held[:, j]
-            )
-            v += inverse_mass[:, :, j] * (wanted - impulse[:, j])[:, None]
-            impulse[:, j] = wanted
-    return v
 
 
 def strictly_stable(dynamics: Dynamics, parameters: Array, h_s: float) -> bool:

@@ -38,8 +38,8 @@ from numba.extending import register_jitable
 from trueup.model.block import BLOCK, height, memory_offsets, offsets
 from trueup.model.effect import DELAYS, SIGNALS, Effect, Port, effects
 from trueup.model.family import Family, families, source_digest
+from trueup.model.joint_effects import PARTS, answers_all
 
-NOMINAL_PARTS = frozenset({"passive", "drive", "spring", "mobility"})
 # ports inside a step, where a position is the one at which the step acts
 WITHIN = Port.FORCE, Port.FRICTION, Port.OBSERVATION
 GIVEN = "j, signals, common, memory, on, p"  # what a port is called with
@@ -110,13 +110,8 @@ def _all(of: Callable[[int, type[Effect]], Iterable[str]]) -> Iterator[str]:
 def _at(port: Port) -> Iterator[str]:
     """A port's own effects."""
     return _all(
-        lambda i, e: _loop(i, e) if e.port is port and not e.delays() and not _answers(e) else ()
+        lambda i, e: _loop(i, e) if e.port is port and not e.delays() and not answers_all(e) else ()
     )
-
-
-def _answers(effect: type[Effect]) -> bool:
-    """Whether an effect answers all other forces at its joint, and so comes after them."""
-    return effect.port is Port.FORCE and "passive" in effect.arguments()
 
 
 def _any_on(asks: Callable[[type[Effect]], bool]) -> str:
@@ -262,13 +257,13 @@ nominal = _made(
     [line for i, f in enumerate(families().values()) for line in _family(i, f)],
 )
 force = _made("force", GIVEN, _at(Port.FORCE))
-answer = _made("answer", GIVEN, _all(lambda i, e: _loop(i, e) if _answers(e) else ()))
+answer = _made("answer", GIVEN, _all(lambda i, e: _loop(i, e) if answers_all(e) else ()))
 friction = _made("friction", GIVEN, _at(Port.FRICTION))
 observe = _made("observe", GIVEN, _at(Port.OBSERVATION))
 follow = _made("follow", f"{GIVEN}, lane", _all(_follow))
 correct = _made("correct", f"{GIVEN}, by_velocity, by_hidden, missed", _all(_correct))
 jump = _made("jump", f"{GIVEN}, set_to", _all(_jump))
 parts_asked = _made(
-    "parts_asked", "on", (), _any_on(lambda e: bool(NOMINAL_PARTS.intersection(e.arguments())))
+    "parts_asked", "on", (), _any_on(lambda e: bool(PARTS.intersection(e.arguments())))
 )
-answers_asked = _made("answers_asked", "on", (), _any_on(_answers))
+answers_asked = _made("answers_asked", "on", (), _any_on(answers_all))

@@ -8,37 +8,46 @@ import onnxruntime
 import pytest
 
 from tests.support.made import TRUE
-from tests.support.robots import arm_plant
 from tests.unit.model.test_step_function import (
     ALL,
     PLANT,
+    ROBOTS,
     TOGETHER,
     commands,
     compiled,
     corrected,
+    robot,
+    robot_motion,
     stepped,
 )
 from trueup.artifact.onnx import SCHEMA, to_onnx
-from trueup.errors import NotExportable
 from trueup.model.features import FRICTION
 from trueup.model.predictor import Blind, Identified, LinearMap, Nominal, Residual
 from trueup.model.series import DECLARED, Scheme
 
 
-def run(content, start, issued):
+def run(plant, content, start, issued):
     """Observations of a graph that is stepped, three lanes at once."""
     session = onnxruntime.InferenceSession(content)
-    result = session.get_modelmeta().custom_metadata_map
-    begins = {
-        "position": start[0],
-        "velocity": start[1],
-        "command within its limits": float(np.clip(issued[0, 0], *PLANT.limits).item()),
-        "0": 0.0,
-    }
-    state = np.tile([begins[x["begins"]] for x in json.loads(result["state"])], (3, 1))
-    rows = []
-    for u in issued[:, 0]:
-        seen, state = session.run(None, {"state": state, "command": np.full((3, 1), u)})
+    metadata = session.get_modelmeta().custom_metadata_map
+    labels = [f"({j})" for j in plant.joints] if len(plant.joints) > 1 else [""]
+    begins = dict(
+        zip(
+            (
+                *(f"{what}{label}" for what in ("position", "velocity") for label in labels),
+                *(f"command{label} within its limits" for label in labels),
+            ),
+            (*start, *plant.applied(issued[0])),
+            strict=True,
+        )
+    )
+    first = [
+        sum(factor * begins[of] for of, factor in x["of"].items())
+        for x in json.loads(metadata["state"])
+    ]
+    state, rows = np.tile(first, (3, 1)), []
+    for u in issued:
+        seen, state = session.run(None, {"state": state, "command": np.tile(u, (3, 1))})
         rows.append(seen[1])
     return np.array(rows)
 
@@ -49,10 +58,19 @@ def run(content, start, issued):
 )
 def test_a_graph_is_the_compiled_rollout(names, scheme):
     model, start, issued = corrected(names, scheme), (0.3, -0.2), commands()
-    assert (
-        np.abs(run(to_onnx(model, "a" * 64), start, issued) - compiled(model, start, issued)).max()
-        < 1e-9
-    )
+    stepped_by_graph = run(PLANT, to_onnx(model, "a" * 64), start, issued)
+    assert np.abs(stepped_by_graph - compiled(model, start, issued)).max() < 1e-9
+
+
+@pytest.mark.parametrize("scheme", [DECLARED, Scheme(0.5, 2)], ids=["declared", "symmetric"])
+@pytest.mark.parametrize("at", ROBOTS.values(), ids=ROBOTS)
+def test_a_robots_graph_is_the_compiled_rollout(tmp_path, at, scheme):
+    model = robot(tmp_path, at, scheme)
+    start, issued = robot_motion(model.plant)
+    stepped_by_graph = run(model.plant, to_onnx(model, "a" * 64), start, issued)
+    other = model.plant.observe(model.run(start, issued))
+    assert np.ptp(other[:, 0]) > 0.1
+    assert np.abs(stepped_by_graph - other).max() < 1e-9
 
 
 @pytest.mark.parametrize(
@@ -72,12 +90,8 @@ def test_a_graph_is_the_compiled_rollout(names, scheme):
 )
 def test_every_kind_of_predictor_has_a_graph(model):
     issued = commands()
-    assert (
-        np.abs(
-            run(to_onnx(model, "a" * 64), (0.3, -0.2), issued) - stepped(model, (0.3, -0.2), issued)
-        ).max()
-        < 1e-9
-    )
+    stepped_by_graph = run(PLANT, to_onnx(model, "a" * 64), (0.3, -0.2), issued)
+    assert np.abs(stepped_by_graph - stepped(model, (0.3, -0.2), issued)).max() < 1e-9
 
 
 def test_a_graph_says_what_it_is_and_is_the_same_bytes_each_time():
@@ -100,6 +114,11 @@ def test_a_graph_says_what_it_is_and_is_the_same_bytes_each_time():
     assert all(t.name in used for t in read.graph.initializer)
 
 
-def test_a_robot_of_several_joints_has_none(tmp_path):
-    with pytest.raises(NotExportable, match="given as MJCF"):
-        to_onnx(Nominal(arm_plant(tmp_path)), "a" * 64)
+def test_a_state_says_in_words_what_it_begins_as(tmp_path):
+    at = (("sensor_delay", 2), ("actuator_lag", 0))
+    read = onnx.load_from_string(to_onnx(robot(tmp_path, at, DECLARED), "a" * 64))
+    states = json.loads({p.key: p.value for p in read.metadata_props}["state"])
+    begins = {x["name"]: x["begins"] for x in states}
+    assert begins["velocity(s)"] == "velocity(s)"
+    assert begins["actuator_lag.y(a)"] == "command(a) within its limits"
+    assert begins["position 2 before(b)"] == "position(b) - 0.004 velocity(b)"

@@ -9,18 +9,15 @@ import numpy as np
 import pytest
 
 from tests.support import made
-from tests.support.robots import ARM, EVERYTHING, URDF
+from tests.support.robots import ARM, EVERYTHING, URDF, plant_of
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.model.block import term
 from trueup.model.dynamics import CompiledTree
 from trueup.model.effect import Effect, Port, effects
 from trueup.model.feasible import feasible
-from trueup.model.mjcf import compile_file
 from trueup.model.mjcf_patch import patch
 from trueup.model.mjcf_writer import tags, write
-from trueup.model.nominal_form import resolved
-from trueup.model.plant import Plant
 from trueup.model.series import Scheme
 from trueup.model.tree import LINK
 from trueup.model.tree_regressors import inverse_dynamics
@@ -37,26 +34,6 @@ NATIVE = {
     "actuator_lag": {"time_constant": 0.05},
     "actuator_delay": {"delay": 0.016},
 }
-
-
-def plant_of(folder, text, driven, name="robot.xml", period_s=0.002):
-    (folder / name).write_text(text)
-    joints = compile_file(folder / name).tree.joints
-    fields = (("q", "position", "rad"), ("v", "velocity", "rad/s"))
-    document = {
-        "name": "robot",
-        "nominal": {"mjcf": name, "timestep_s": period_s},
-        "commands": [
-            {"name": f"u_{j}", "joint": j, "unit": "N·m", "limits": [-30.0, 30.0]} for j in driven
-        ],
-        "observations": [
-            {"name": f"{s}_{j}", "joint": j, "field": f, "unit": u}
-            for s, f, u in fields
-            for j in joints
-        ],
-        "evaluation": {"horizon_s": 0.4},
-    }
-    return Plant.from_document(resolved(document, folder))
 
 
 def corrected(plant, effects_at=(), numbers=None):

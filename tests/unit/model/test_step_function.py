@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from tests.support import made
 from tests.support.made import TRUE, plant_document
-from tests.support.robots import arm_plant
-from trueup.errors import NotExportable
+from tests.support.robots import ARM, EVERYTHING, plant_of
 from trueup.fit.fitter import Fitter
 from trueup.fit.free_numbers import Directions
-from trueup.model.block import BLOCK
+from trueup.model.block import BLOCK, term
 from trueup.model.corrected import Corrected
 from trueup.model.effect import effects
 from trueup.model.features import FRICTION
@@ -67,12 +67,14 @@ def compiled(model, start, issued):
 
 
 def stepped(model, start, issued):
+    """A rollout of three lanes, one step at a time, of which the middle one is returned."""
     stepper = StepFunction.of(model)
-    state, found = stepper.begin(*(np.full(3, x) for x in start), np.full(3, issued[0, 0])), []
-    for u in issued[:, 0]:
-        seen, state = stepper.step(state, np.full(3, u))
-        found.append([x[1] for x in seen])
-    return np.array(found)
+    q, v, u = ([np.full(3, x) for x in part] for part in (*np.split(np.array(start), 2), issued[0]))
+    state, rows = stepper.begin(q, v, u), []
+    for command in issued:
+        seen, state = stepper.step(state, [np.full(3, x) for x in command])
+        rows.append([x[1] for x in seen])
+    return np.array(rows)
 
 
 @pytest.mark.parametrize("scheme", [DECLARED, Scheme(0.5, 3)], ids=["declared", "symmetric"])
@@ -105,7 +107,8 @@ def test_a_step_at_a_time_is_the_compiled_rollout(names, scheme):
 def test_every_kind_of_predictor_steps_as_it_predicts(model):
     stepper, states = StepFunction.of(model), np.random.default_rng(1).normal(size=(5, 2))
     issued = np.linspace(-9.0, 9.0, 5)
-    seen, after = stepper.step(stepper.begin(states[:, 0], states[:, 1], issued), issued)
+    begun = stepper.begin([states[:, 0]], [states[:, 1]], [issued])
+    seen, after = stepper.step(begun, [issued])
     assert np.array_equal(np.stack(seen, axis=1), PLANT.observe(states))
     assert np.allclose(
         np.stack([after["position"], after["velocity"]], axis=1),
@@ -114,15 +117,76 @@ def test_every_kind_of_predictor_steps_as_it_predicts(model):
     )
 
 
-def test_a_robot_of_several_joints_has_no_such_step(tmp_path):
-    with pytest.raises(NotExportable, match="given as MJCF"):
-        StepFunction.of(Nominal(arm_plant(tmp_path)))
+# a hinge with a servo, one with a motor, one with a motor of limited force; two effects at a servo
+AT_JOINTS = (
+    *((name, j) for name in ALL for j in (2, 0)),
+    ("stribeck_friction", 4),
+    ("elastic_transmission", 3),
+)
+ROBOTS = {
+    "none": (),
+    **{f"{name} at {j}": ((name, j),) for name, j in AT_JOINTS},
+    "frictions": (("coulomb_friction", 0), ("stribeck_friction", 2), ("coulomb_friction", 3)),
+    "everywhere": (
+        ("clock_skew", 0), ("actuator_delay", 0), ("elastic_transmission", 0),
+        ("quadratic_drag", 1), ("sensor_delay", 2), ("thermal_derating", 2), ("deadband", 3),
+        ("load_dependent_friction", 3), ("hysteresis", 4), ("sensor_bias", 4),
+    ),
+}  # fmt: skip
+
+
+def robot(folder, at, scheme, seed=0):
+    """A robot of hinges and a slide in branches, with effects at joints by their numbers."""
+    plant = plant_of(folder, EVERYTHING, ["a", "b", "c"])
+    scales, by_term = Scales(0.6, 1.5, 6.0, 10.0, 0.3), {}
+    for name, j in at:
+        starts = np.nan_to_num(effects()[name].starts[0], nan=0.1)
+        by_term[term(name, j)] = {
+            n.name: x * scales.of(n.scale)
+            for x, n in zip(starts, effects()[name].params, strict=True)
+        }
+    return made.corrected(plant, by_term, None, scheme)
+
+
+def robot_motion(plant):
+    """A start of the robot, and commands."""
+    rng, t = np.random.default_rng(2), np.arange(SAMPLES) * plant.timestep_s
+    issued = np.stack([3.0 * np.sin(9.0 * t + phase) for phase in (0.0, 1.0, 2.0)], 1)
+    issued += 0.5 * rng.standard_normal(issued.shape)
+    return np.concatenate([rng.uniform(-0.3, 0.3, 5), rng.uniform(-0.5, 0.5, 5)]), issued
+
+
+@pytest.mark.parametrize("scheme", [DECLARED, Scheme(0.5, 2)], ids=["declared", "symmetric"])
+@pytest.mark.parametrize("at", ROBOTS.values(), ids=ROBOTS)
+def test_a_robots_step_is_the_compiled_rollout(tmp_path, at, scheme):
+    model = robot(tmp_path, at, scheme)
+    start, issued = robot_motion(model.plant)
+    one, other = stepped(model, start, issued), model.plant.observe(model.run(start, issued))
+    assert np.ptp(other[:, 0]) > 0.1
+    assert np.abs(one - other).max() < 1e-9
+
+
+def test_every_kind_of_a_robots_predictor_steps_as_it_predicts(tmp_path):
+    plant, rng = plant_of(tmp_path, ARM, ["shoulder", "elbow"]), np.random.default_rng(1)
+    learnt = LinearMap(("q", "v1", "u1", "sign(v)"), rng.normal(size=(4, 4)) * 1e-2)
+    states, issued = rng.normal(size=(5, 4)), rng.uniform(-40.0, 40.0, size=(5, 2))
+    for model in (
+        Nominal(plant),
+        Identified(plant, plant.parameters),
+        Residual(plant, learnt),
+        Blind(plant, learnt),
+    ):
+        stepper = StepFunction.of(model)
+        begun = stepper.begin(list(states[:, :2].T), list(states[:, 2:].T), list(issued.T))
+        _, after = stepper.step(begun, list(issued.T))
+        names = [f"{what}({joint})" for what in ("position", "velocity") for joint in plant.joints]
+        moved = np.stack([after[name] for name in names], axis=1)
+        assert np.allclose(moved, model.predict_batch(states, issued), atol=1e-12), model.kind
 
 
 def test_a_delay_takes_its_commands_from_the_state():
     stepper = StepFunction.of(corrected(("actuator_delay",), DECLARED))
-    assert len(stepper.shares[0]) > 1
-    assert sum(stepper.shares[0]) == pytest.approx(1.0)
-    assert stepper.names[2:] == tuple(
-        f"command {k} before" for k in range(1, len(stepper.shares[0]))
-    )
+    shares = stepper.shares[0][0]
+    assert len(shares) > 1
+    assert sum(shares) == pytest.approx(1.0)
+    assert stepper.names[2:] == tuple(f"command {k} before" for k in range(1, len(shares)))
