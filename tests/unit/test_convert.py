@@ -28,7 +28,7 @@ def test_one_joint_becomes_onnx_and_mjcf(tmp_path, capsys):
     assert printed == {"file": str(tmp_path / "m.onnx"), "artifact": digest, "not_expressed": []}
     assert {p.value for p in onnx.load(tmp_path / "m.onnx").metadata_props} > {digest}
     convert(tmp_path / "m", tmp_path / "m.xml")
-    assert "not expressed: backlash at joint: give the actuator" in capsys.readouterr().out
+    assert "not expressed: backlash at joint: apply the play to ctrl" in capsys.readouterr().out
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "m.xml")).nv == 1
 
 

@@ -15,6 +15,7 @@ from trueup.canonical import Json
 from trueup.episode.layout import Channel, Field
 from trueup.errors import NotExportable
 from trueup.model.mjcf import mujoco
+from trueup.model.mjcf_drive import actuator_of, motor_of
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor
 
@@ -95,12 +96,22 @@ def _joint(engine: Any, model: Any, plant: Plant, channel: Channel) -> int:
     return at
 
 
+def _actuator(engine: Any, model: Any, plant: Plant, channel: Channel) -> int:
+    """The number of the actuator that a channel commands: at its joint, or at its motor's."""
+    at = _joint(engine, model, plant, channel)
+    motor = motor_of(model.joint(at).name)
+    beside = int(engine.mj_name2id(model, engine.mjtObj.mjOBJ_JOINT, motor))
+    return actuator_of(model, beside if beside >= 0 else at)
+
+
 def _run(engine: Any, model: Any, plant: Plant, commands: Array, columns: Sequence[int]) -> Array:
     """The observations of MuJoCo's run, `(samples, observations)`."""
     data = engine.MjData(model)
     parts = max(1, round(plant.timestep_s / model.opt.timestep))
-    driven = [_joint(engine, model, plant, c) for c in plant.layout.commands]
-    at_joint = {int(model.actuator_trnid[i, 0]): i for i in range(model.nu)}
+    driven = [_actuator(engine, model, plant, c) for c in plant.layout.commands]
+    for value, at in zip(commands[0], driven, strict=True):
+        if model.actuator_actnum[at]:  # a lag, or a limited rate, begins at the first command
+            data.act[model.actuator_actadr[at]] = value
     seen = np.empty((len(commands), len(columns)))
     for k, command in enumerate(commands):
         for i, (channel, at) in enumerate(zip(plant.layout.observations, columns, strict=True)):
@@ -109,7 +120,7 @@ def _run(engine: Any, model: Any, plant: Plant, commands: Array, columns: Sequen
                 data.qpos[model.jnt_qposadr[at]] if is_position else data.qvel[model.jnt_dofadr[at]]
             )
         for value, at in zip(command, driven, strict=True):
-            data.ctrl[at_joint[at]] = value
+            data.ctrl[at] = value
         for _ in range(parts):
             engine.mj_step(model, data)
     return seen

@@ -29,6 +29,7 @@ FINEST_S = (
     0.002  # MuJoCo's own default step; a declared period is cut into whole parts of at most this
 )
 ARM_M = 0.1  # of a pendulum's centre of mass: what is left of its inertia is the body's own
+LIGHT = 1e-3  # of the inertia: a body that leaves the rest to the armature
 FILE = "plant.xml"
 
 
@@ -36,7 +37,10 @@ def mjcf_of_joint(model: Corrected, folder: Path, heading: Sequence[str]) -> Wri
     """A family's model with its effects as MJCF; `folder` is for files on the way. Raises
     NotInstalled without MuJoCo."""
     plant, joint = model.plant, model.plant.joints[0] or JOINT
-    (folder / FILE).write_text(nominal(plant, model.values, joint, model.scheme))
+    is_geared = "elastic_transmission" in model.hypothesis.effects
+    (folder / FILE).write_text(
+        nominal(plant, model.values, joint, model.scheme, is_geared=is_geared)
+    )
     channels = {
         key: [{**c, "joint": joint} for c in _listed(plant.document[key])]
         for key in ("commands", "observations")
@@ -58,9 +62,12 @@ def mjcf_of_joint(model: Corrected, folder: Path, heading: Sequence[str]) -> Wri
     )
 
 
-def nominal(plant: Plant, numbers: Sequence[float], joint: str, scheme: Scheme) -> str:
+def nominal(
+    plant: Plant, numbers: Sequence[float], joint: str, scheme: Scheme, *, is_geared: bool = False
+) -> str:
     """A family with the numbers of its form, as MJCF: stepped as declared, or as finely as the
-    symmetric scheme asks for."""
+    symmetric scheme asks for. Where it `is_geared`, the inertia is the joint's armature, of which a
+    motor can have a share."""
     family = plant.family
     given = dict(zip(plant.dynamics.parameter_names, numbers, strict=False))
     low, high = (float(bound[0]) for bound in plant.limits)
@@ -77,9 +84,13 @@ def nominal(plant: Plant, numbers: Sequence[float], joint: str, scheme: Scheme) 
     hangs = family == "pendulum"
     stiffness = f' stiffness="{given["k"]!r}"' if family == "oscillator" else ""
     kind, axis = ("hinge", "0 1 0") if hangs else ("slide", "1 0 0")
-    own = 1.0 - ARM_M**2 if hangs else 1.0
+    own, mass, geared = 1.0 - ARM_M**2 if hangs else 1.0, 1.0, ""
+    if is_geared:
+        geared = f' armature="{own - LIGHT!r}"'
+        own, mass = (LIGHT, mass) if hangs else (own, LIGHT)
     inertial = (
-        f'pos="0 0 {-ARM_M if hangs else 0.0!r}" mass="1" diaginertia="{own!r} {own!r} {own!r}"'
+        f'pos="0 0 {-ARM_M if hangs else 0.0!r}" mass="{mass!r}" '
+        f'diaginertia="{own!r} {own!r} {own!r}"'
     )
     lines = [
         f"<mujoco model={quoteattr(plant.name)}>",
@@ -88,7 +99,7 @@ def nominal(plant: Plant, numbers: Sequence[float], joint: str, scheme: Scheme) 
         f"    <body name={quoteattr(plant.name)}>",
         (
             f'      <joint name={quoteattr(joint)} type="{kind}" axis="{axis}" '
-            f'damping="{given["c"]!r}"{stiffness}/>'
+            f'damping="{given["c"]!r}"{stiffness}{geared}/>'
         ),
         f"      <inertial {inertial}/>",
         '      <geom type="sphere" size="0.05" contype="0" conaffinity="0"/>',

@@ -25,7 +25,12 @@ EXACT = 1e-5  # of the forces: links that move the same way
 ELEMENTS = dict(
     zip(AT_JOINT, ("joint", "joint", "actuator", "actuator", "joint", "joint"), strict=True)
 )
-PARTLY = ("hard_stop", "stribeck_friction")
+COGGING, BRISTLES = "force pitch phase", "stiffness force distance"
+STRIBECK = "stiffness force speed"
+DAHL = (
+    0.999  # shape of a hysteresis, beyond which its law is P. Dahl's, as MuJoCo's bristles have it
+)
+BRISTLE_S = 0.002  # bristles give way in so much time at the curve's own speed: a usual step
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,13 +122,18 @@ def _patch_of_tree(dynamics: CompiledTree, model: Corrected) -> Patch:
             )
             left.append(Left("", "", why))
     nominal, corrected = _numbers(given), _numbers(fitted)
+    instead = {name: effect.in_mjcf for name, effect in effects().items()}
     for term in model.hypothesis.effects:
         effect, at = kind(term).name, given.joints[joint(term)]
         values = {name: model.values[row] for name, row in model.plant.block.rows_of(term).items()}
         if not _native(
             effect, values, float(dynamics.form.sizes[joint(term)]), given, joint(term), corrected
         ):
-            left.append(Left(effect, at, effects()[effect].in_mjcf))
+            left.append(Left(effect, at, instead[effect]))
+    for at in given.joints:
+        if (at, "actuator", "rate") in corrected and not _limits_rate(at, corrected):
+            del corrected[at, "actuator", "rate"]
+            left.append(Left("rate_limit", at, instead["rate_limit"]))
     for key, value in corrected.items():
         before = nominal.get(key)
         if before is None or not np.allclose(
@@ -166,30 +176,91 @@ def _native(
     """Write what MJCF has of an effect into the numbers; whether that is all of it. `size` is the
     inertia that forces were divided by."""
     at = tree.joints[j]
-    driven = bool(into[at, "actuator", "gain"])
+    forces = {name: size * x for name, x in values.items()}
+    if effect == "cubic_stiffness" and tree.constants[j, REST] != 0.0:
+        return False
+    if into[at, "actuator", "gain"] and _at_actuator(effect, values, size, at, into):
+        return True
+    return _at_joint(effect, values, forces, at, into)
 
-    def add(element: str, attribute: str, by: float) -> None:
-        into[at, element, attribute] = float(into[at, element, attribute]) + by  # type: ignore[arg-type]
 
-    if effect in ("coulomb_friction", "stribeck_friction"):
-        add("joint", "frictionloss", size * values["level"])
-    elif effect == "quadratic_drag":
-        into[at, "joint", "damping |v|"] = size * values["coefficient"]
-    elif effect == "cubic_stiffness" and tree.constants[j, REST] == 0.0:
-        into[at, "joint", "stiffness q^2"] = size * values["coefficient"]
-    elif effect == "constant_force" and driven:
-        add("actuator", "offset", size * values["level"])
-    elif effect == "saturation" and driven:
+def _at_actuator(
+    effect: str, values: Mapping[str, float], size: float, at: str, into: Numbers
+) -> bool:
+    """Write an effect that the joint's actuator has; whether it has it."""
+    if effect == "elastic_transmission":
+        return _two_masses(values, size, at, into)
+    if effect == "constant_force":
+        _add(into, at, "actuator", "offset", size * values["level"])
+    elif effect == "saturation":
         _limit(values["limit"], at, into)
-    elif effect == "actuator_lag" and driven:
+    elif effect == "rate_limit":
+        into[at, "actuator", "rate"] = values["rate"]
+    elif effect == "actuator_lag":
         into[at, "actuator", "lag"] = values["time_constant"]
-    elif effect == "actuator_delay" and driven:
+    elif effect == "actuator_delay":
         into[at, "actuator", "delay"] = values["delay"]
+    else:
+        return False
+    return True
+
+
+def _at_joint(
+    effect: str, values: Mapping[str, float], forces: Mapping[str, float], at: str, into: Numbers
+) -> bool:
+    """Write an effect that acts at the joint, driven or not; whether that is all of it. `forces`
+    are its values as forces."""
+    if effect == "coulomb_friction":
+        _add(into, at, "joint", "frictionloss", forces["level"])
+    elif effect == "stribeck_friction":
+        _add(into, at, "joint", "frictionloss", forces["level"])
+        extra, speed = forces["extra"], values["speed"]
+        into[at, "dcmotor", STRIBECK] = [extra / (speed * BRISTLE_S), extra, speed]
+        return False  # bristles give way before they slide, and their curve is Gaussian
+    elif effect == "quadratic_drag":
+        into[at, "joint", "damping |v|"] = forces["coefficient"]
+    elif effect == "cubic_stiffness":
+        into[at, "joint", "stiffness q^2"] = forces["coefficient"]
+    elif effect == "cogging":
+        largest = float(np.hypot(forces["sine"], forces["cosine"]))
+        phase = float(np.arctan2(values["cosine"], values["sine"]))
+        into[at, "dcmotor", COGGING] = [largest, values["pitch"], phase]
+    elif effect == "hysteresis" and values["shape"] >= DAHL and values["sharpness"] <= 1.0 - DAHL:
+        level, distance = forces["level"], values["distance"]
+        into[at, "dcmotor", BRISTLES] = [level / distance, level, distance]
     elif effect == "sensor_delay":
         into[at, "sensor", "delay"] = values["delay"]
     elif effect == "hard_stop":
         ends = [values["centre"] - values["limit"], values["centre"] + values["limit"]]
-        into[at, "tendon", "low high stiffness"] = [*ends, size * values["stiffness"]]
+        into[at, "tendon", "low high stiffness"] = [*ends, forces["stiffness"]]
+        return False
     else:
         return False
-    return effect not in PARTLY
+    return True
+
+
+def _add(into: Numbers, at: str, element: str, attribute: str, by: float) -> None:
+    into[at, element, attribute] = float(into[at, element, attribute]) + by  # type: ignore[arg-type]
+
+
+def _two_masses(values: Mapping[str, float], size: float, at: str, into: Numbers) -> bool:
+    """Give the motor a share of the joint's armature and a spring to the joint; whether the
+    armature has so much, and no servo asks where the joint is."""
+    inertia = size * values["share"]
+    armature = float(into[at, "joint", "armature"])  # type: ignore[arg-type]
+    if inertia > armature or into[at, "actuator", "servo"]:
+        return False
+    into[at, "joint", "armature"] = armature - inertia
+    swing = 2.0 * np.pi / values["period"]
+    both = size * values["share"] * (1.0 - values["share"])
+    spring = [inertia, both * swing**2, 2.0 * both * swing * values["ratio"]]
+    into[at, "motor", "inertia stiffness damping"] = [float(x) for x in spring]
+    return True
+
+
+def _limits_rate(at: str, numbers: Numbers) -> bool:
+    """Whether a dcmotor's limit of its command's rate acts as the effect does: without a lag and a
+    constant force, which it does not have, and at a servo that asks for its goal alone."""
+    gain, servo, offset = (float(numbers[at, "actuator", x]) for x in ("gain", "servo", "offset"))  # type: ignore[arg-type]
+    asks = servo == 0.0 or bool(np.isclose(gain, servo))
+    return asks and offset == 0.0 and (at, "actuator", "lag") not in numbers

@@ -9,7 +9,7 @@ MuJoCo's own writing of the whole model is what is changed.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,19 +18,16 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.canonical import Json
 from trueup.model.mjcf import joint_axes, links, mujoco, seen_from
+from trueup.model.mjcf_drive import Drive, actuator_of, velocity_gain
 from trueup.model.mjcf_patch import Left, Patch
 from trueup.model.tree import LINK
 from trueup.model.xml_tags import Tag, ancestors, is_closed, spaced, start_tag, tags
 
 Array = NDArray[np.float64]
+Edit = tuple[int, int, str]  # bytes [first, last) of a text, and what they become
 ACTUATORS = ("general", "motor", "position", "velocity")
-KEPT = ("name", "group", "user")  # attributes of an actuator that say nothing of its force
 HELD = 1e-6  # of a number's size: it was compiled as it was written
-HARD = "0.9999 0.9999"  # impedance of a constraint that hardly gives
-# times the samples that a delay's history needs: whoever simulates it on finer steps needs more
-SPARE = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,68 +92,31 @@ def _stands(text: str, patch: Patch) -> bool:
 def _changed(engine: Any, model: Any, text: str, patch: Patch) -> str:
     """The text with every change made."""
     every = tags(text)
-    edits: list[tuple[int, int, str]] = []
+    edits: list[Edit] = []
     sections: list[str] = []
     for j in range(model.njnt):
         name = model.joint(j).name
-        tag = next(
-            (
-                t
-                for t in every
-                if t.name == "joint"
-                and t.attributes.get("name") == name
-                and "joint" not in t.attributes
-            ),
-            None,
-        )
-        actuator = _actuator_of(model, j)
-        joint = _joint(model, j, actuator, patch.of(name, "joint"))
-        if joint and tag:
+        tag = _tag_of(every, name)
+        drive = Drive(engine, model, j, patch)
+        if drive.joint and tag:
+            attributes = {**tag.attributes, **drive.joint}
             edits.append(
-                (
-                    tag.first,
-                    tag.last,
-                    start_tag(tag.name, {**tag.attributes, **joint}, is_closed(text, tag)),
-                )
+                (tag.first, tag.last, start_tag(tag.name, attributes, is_closed(text, tag)))
             )
-        acts = patch.of(name, "actuator")
-        if acts:
+        if drive.has_motor and tag:
+            holder = next(every[i] for i in ancestors(every, every.index(tag)) if is_body(every[i]))
+            edits.append((holder.end, holder.end, drive.motor(holder.attributes)))
+        if drive.acts:
             at = next(
                 (t for t in every if t.name in ACTUATORS and t.attributes.get("joint") == name),
                 None,
             )
-            given = {k: v for k, v in at.attributes.items() if k in KEPT} if at else {"name": name}
-            element = start_tag(
-                "general", {**given, **_general(engine, model, name, actuator, patch)}, True
-            )
-            if (
-                at
-                and at.name == "motor"
-                and set(acts) == {"gain"}
-                and not model.actuator_forcelimited[actuator]
-            ):
-                edits.append(
-                    (
-                        at.first,
-                        at.last,
-                        start_tag(
-                            "motor",
-                            {**at.attributes, "gear": spaced(acts["gain"])},
-                            is_closed(text, at),
-                        ),
-                    )
-                )
-            elif at:
-                edits.append(
-                    (
-                        at.first,
-                        at.last,
-                        element if is_closed(text, at) else element.replace("/>", ">"),
-                    )
-                )
+            element = drive.element(at)
+            if at:
+                edits.append((at.first, at.end, element))
             else:
                 sections.append(f"<actuator>{element}</actuator>")
-        sections += _sections(model, name, patch)
+        sections += drive.sections()
     edits += _inertials(engine, model, text, every, patch)
     data = text.encode()
     for first, last, replaced in sorted(edits, reverse=True):
@@ -167,143 +127,33 @@ def _changed(engine: Any, model: Any, text: str, patch: Patch) -> str:
     return data.decode()
 
 
-def _actuator_of(model: Any, joint: int) -> int:
-    """The joint's actuator, -1 where it has none."""
-    return next((i for i in range(model.nu) if model.actuator_trnid[i, 0] == joint), -1)
-
-
-def _velocity_gain(model: Any, actuator: int) -> float:
-    """What of a joint's damping its actuator gives."""
-    return (
-        -(float(model.actuator_gear[actuator, 0]) ** 2) * float(model.actuator_biasprm[actuator, 2])
-        if actuator >= 0
-        else 0.0
+def _tag_of(every: Sequence[Tag], joint: str) -> Tag | None:
+    """The tag that declares a joint, and not one that names it."""
+    return next(
+        (
+            t
+            for t in every
+            if t.name == "joint"
+            and t.attributes.get("name") == joint
+            and "joint" not in t.attributes
+        ),
+        None,
     )
 
 
-def _joint(model: Any, j: int, actuator: int, given: Mapping[str, Json]) -> dict[str, str]:
-    """Attributes of a joint's tag."""
-    written = {name: spaced(given[name]) for name in ("armature", "frictionloss") if name in given}
-    if "frictionloss" in given:  # as hard as MuJoCo has it: it holds, and does not creep
-        written |= {
-            "solreffriction": spaced(2.0 * model.opt.timestep, 1.0),
-            "solimpfriction": HARD,
-        }
-    for name, behind, linear, higher in (
-        ("damping", "damping |v|", model.dof_damping[j], model.dof_dampingpoly[j]),
-        ("stiffness", "stiffness q^2", model.jnt_stiffness[j], model.jnt_stiffnesspoly[j]),
-    ):
-        if name not in given and behind not in given:
-            continue
-        first = float(np.ravel(linear)[0])
-        if name in given:
-            first = float(given[name])  # type: ignore[arg-type]
-            if name == "damping":
-                first = max(first - _velocity_gain(model, actuator), 0.0)
-        more = list(higher)
-        if behind in given:
-            more[0 if name == "damping" else 1] += float(given[behind])  # type: ignore[arg-type]
-        written[name] = spaced(first, *more) if any(more) else spaced(first)
-    return written
+def is_body(tag: Tag) -> bool:
+    """Whether a tag begins a body."""
+    return tag.name == "body"
 
 
-def _general(engine: Any, model: Any, name: str, actuator: int, patch: Patch) -> dict[str, str]:
-    """Attributes of a general actuator that does what the joint's own does, and what changes."""
-    given, passive = patch.of(name, "actuator"), patch.of(name, "joint")
-    gain, servo, offset = (1.0, 0.0, 0.0)
-    limits: dict[str, str] = {"ctrllimited": "false", "forcelimited": "false"}
-    if actuator >= 0:
-        gear, affine = float(model.actuator_gear[actuator, 0]), int(engine.mjtBias.mjBIAS_AFFINE)
-        bias = (
-            model.actuator_biasprm[actuator]
-            if model.actuator_biastype[actuator] == affine
-            else np.zeros(3)
-        )
-        gain, servo, offset = (
-            gear * float(model.actuator_gainprm[actuator, 0]),
-            -(gear**2) * float(bias[1]),
-            gear * float(bias[0]),
-        )
-        if model.actuator_ctrllimited[actuator]:
-            limits |= {
-                "ctrllimited": "true",
-                "ctrlrange": spaced(*model.actuator_ctrlrange[actuator]),
-            }
-        if model.actuator_forcelimited[actuator]:
-            limits |= {
-                "forcelimited": "true",
-                "forcerange": spaced(*(abs(gear) * model.actuator_forcerange[actuator])),
-            }
-    velocity = _velocity_gain(model, actuator)
-    if "damping" in passive:
-        velocity = min(velocity, max(float(passive["damping"]), 0.0))  # type: ignore[arg-type]
-    standing = (("gain", gain), ("servo", servo), ("offset", offset))
-    gain, servo, offset = (given.get(k, x) for k, x in standing)  # type: ignore[assignment]
-    for what in ("ctrl", "force"):
-        if f"{what}range" in given:
-            span = spaced(*given[f"{what}range"])  # type: ignore[misc]
-            limits |= {f"{what}limited": "true", f"{what}range": span}
-    written = {
-        "joint": name,
-        "gear": "1",
-        "gaintype": "fixed",
-        "gainprm": spaced(gain),
-        "biastype": "affine",
-    }
-    written |= {"biasprm": spaced(offset, -float(servo), -velocity), **limits}
-    lag = (
-        {"dyntype": "filterexact", "dynprm": spaced(given["lag"]), "actlimited": "false"}
-        if "lag" in given
-        else {"dyntype": "none"}
-    )
-    return {**written, **lag, **(_delay(model, given["delay"]) if "delay" in given else {})}
-
-
-def _delay(model: Any, seconds: Json) -> dict[str, str]:
-    """A delay, and as many samples as it needs."""
-    late = float(seconds)  # type: ignore[arg-type]
-    return {
-        "delay": spaced(late),
-        "nsample": str(SPARE * (int(np.ceil(late / model.opt.timestep)) + 1)),
-    }
-
-
-def _sections(model: Any, name: str, patch: Patch) -> list[str]:
-    """What a joint's correction adds to a file."""
-    added = []
-    late, stop = patch.of(name, "sensor"), patch.of(name, "tendon")
-    if late:
-        held = _delay(model, late["delay"])
-        sensors = [
-            start_tag(k, {"name": f"{name} {k} as logged", "joint": name, **held}, True)
-            for k in ("jointpos", "jointvel")
-        ]
-        added.append(f"<sensor>{''.join(sensors)}</sensor>")
-    if stop:
-        low, high, stiffness = stop["low high stiffness"]  # type: ignore[misc, str-unpack]
-        spring = start_tag(
-            "fixed",
-            {
-                "name": f"stop of {name}",
-                "springlength": spaced(low, high),
-                "stiffness": spaced(stiffness),
-            },
-            False,
-        )
-        driven = start_tag("joint", {"joint": name, "coef": "1"}, True)
-        added.append(f"<tendon>{spring}{driven}</fixed></tendon>")
-    return added
-
-
-def _inertials(
-    engine: Any, model: Any, text: str, every: list[Tag], patch: Patch
-) -> list[tuple[int, int, str]]:
+def _inertials(engine: Any, model: Any, text: str, every: list[Tag], patch: Patch) -> list[Edit]:
     """Edits that give each changed link's body what its link has more than the bodies welded on to
     it."""
     data = engine.MjData(model)
     data.qpos[:] = model.qpos0
     engine.mj_forward(model, data)
-    link_of, axes, edits = links(model), joint_axes(data), []
+    link_of, axes = links(model), joint_axes(data)
+    edits: list[Edit] = []
     for j in range(model.njnt):
         name, body = model.joint(j).name, int(model.jnt_bodyid[j])
         given = list(patch.of(name, "link").values())
@@ -367,7 +217,7 @@ def _lost(engine: Any, nominal: Any, model: Any, patch: Patch) -> list[Left]:
     for j in range(model.njnt):
         name = model.joint(j).name
         joint = patch.of(name, "joint")
-        velocity = _velocity_gain(model, _actuator_of(model, j))
+        velocity = velocity_gain(model, actuator_of(model, j))
         has = {
             "armature": model.dof_armature[j],
             "damping": model.dof_damping[j] + velocity,

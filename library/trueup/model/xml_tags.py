@@ -14,32 +14,43 @@ ROUNDING = 1e-12  # of the largest number beside it
 
 @dataclass(frozen=True, slots=True)
 class Tag:
-    """A start tag as it stands in a text: bytes `[first, last)`, its attributes, and the place of
-    its parent in the list of tags."""
+    """A start tag as it stands in a text: bytes `[first, last)`, its attributes, the place of its
+    parent in the list of tags, and where its element ends."""
 
     name: str
     attributes: Mapping[str, str]
     first: int
     last: int
     parent: int
+    end: int
 
 
 def tags(text: str) -> list[Tag]:
     """Every start tag of a text, in its order."""
-    every: list[Tag] = []
+    begun: list[tuple[str, dict[str, str], int, int]] = []
+    ends: dict[int, int] = {}
     open_: list[int] = [-1]
     data = text.encode()
     parser = expat.ParserCreate("utf-8")
 
     def began(name: str, attributes: dict[str, str]) -> None:
-        first = parser.CurrentByteIndex
-        every.append(Tag(name, attributes, first, _end(data, first), open_[-1]))
-        open_.append(len(every) - 1)
+        begun.append((name, attributes, parser.CurrentByteIndex, open_[-1]))
+        open_.append(len(begun) - 1)
+
+    def ended(_: str) -> None:
+        ends[open_.pop()] = parser.CurrentByteIndex
 
     parser.StartElementHandler = began
-    parser.EndElementHandler = lambda _: open_.pop()
+    parser.EndElementHandler = ended
     parser.Parse(data, True)
-    return every
+    made = []
+    for i, (name, attributes, first, parent) in enumerate(begun):
+        last = _end(data, first)
+        closed = data[first:last].endswith(b"/>")
+        made.append(
+            Tag(name, attributes, first, last, parent, last if closed else _end(data, ends[i]))
+        )
+    return made
 
 
 def _end(data: bytes, first: int) -> int:
@@ -70,7 +81,7 @@ def spaced(*numbers: object) -> str:
     """Numbers as an attribute; those that only rounding made are 0."""
     values = np.array(numbers, float)
     values[np.abs(values) < ROUNDING * np.abs(values).max()] = 0.0
-    return " ".join(f"{x:.10g}" for x in values)
+    return " ".join(f"{x:.10g}" for x in values + 0.0)  # no zero of a negative sign
 
 
 def ancestors(every: Sequence[Tag], at: int) -> list[int]:

@@ -26,6 +26,10 @@ EFFECTS = {
     "saturation": {"limit": 0.7},
     "actuator_lag": {"time_constant": 0.08},
     "actuator_delay": {"delay": 0.06},
+    "rate_limit": {"rate": 0.9},
+    "cogging": {"sine": 0.1, "cosine": 0.1, "pitch": 0.3},
+    "hysteresis": {"level": 0.2, "distance": 0.1, "shape": 1.0, "sharpness": 0.0},
+    "elastic_transmission": {"period": 0.7, "ratio": 0.1, "share": 0.4},
 }
 
 
@@ -49,7 +53,7 @@ def model_of(family, effects):
 def moved(text, issued, start):
     engine = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(engine)
-    data.qpos[0], data.qvel[0] = start
+    data.qpos[:], data.qvel[:] = start  # a motor of its own begins with the joint
     mujoco.mj_forward(engine, data)
     found = []
     for u in issued:

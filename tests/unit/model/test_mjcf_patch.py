@@ -1,6 +1,7 @@
 """A corrected robot as MJCF: MuJoCo then moves as the corrected model does, and what it cannot
 express is said."""
 
+import re
 import subprocess
 from pathlib import Path
 
@@ -33,6 +34,10 @@ NATIVE = {
     "saturation": {"limit": 1.0},
     "actuator_lag": {"time_constant": 0.05},
     "actuator_delay": {"delay": 0.016},
+    "rate_limit": {"rate": 12.0},
+    "cogging": {"sine": 0.6, "cosine": -0.8, "pitch": 0.11},
+    "hysteresis": {"level": 0.8, "distance": 0.05, "shape": 1.0, "sharpness": 0.0},
+    "elastic_transmission": {"period": 0.2, "ratio": 0.1, "share": 0.3},
 }
 
 
@@ -68,12 +73,13 @@ def simulated(folder, text, plant):
     model.opt.timestep = plant.timestep_s
     data = mujoco.MjData(model)
     data.qpos[:] = 0.0
-    order = [model.actuator(i).trnid[0] for i in range(model.nu)]
+    driven = [model.joint(model.actuator(i).trnid[0]).name for i in range(model.nu)]
     columns = {plant.joints[j]: int(c) for j, c in enumerate(plant.command_columns)}
+    shown = [model.joint(name).qposadr[0] for name in plant.joints]
     issued, seen = driven_episode(plant).commands, []
     for i in range(SAMPLES):
-        seen.append(data.qpos.copy())
-        data.ctrl[:] = [issued[i, columns[model.joint(j).name]] for j in order]
+        seen.append(data.qpos[shown])
+        data.ctrl[:] = [issued[i, columns[name.removeprefix("motor of ")]] for name in driven]
         mujoco.mj_step(model, data)
     return np.array(seen)
 
@@ -97,6 +103,39 @@ def test_mujoco_moves_as_the_corrected_model_does(tmp_path, effect):
     off, written = agreed(tmp_path, plant, "robot.xml", model)
     assert off < EXPRESSED
     assert written.left == ()
+
+
+def test_friction_near_rest_is_nearer_by_bristles_than_without(tmp_path):
+    plant = plant_of(tmp_path, ARM, ["shoulder", "elbow"], period_s=0.002)
+    law = {"level": 0.4, "extra": 0.8, "speed": 1.0, "sharpness": 1.0}
+    model = corrected(plant, [("stribeck_friction", 1, law)])
+    off, written = agreed(tmp_path, plant, "robot.xml", model)
+    assert off < 0.1
+    without = simulated(tmp_path, re.sub("<dcmotor[^>]*/>", "", written.text), plant)
+    nominal, wanted = rolled(corrected(plant)), rolled(model)
+    assert np.linalg.norm(without - wanted) > 4.0 * off * np.linalg.norm(nominal - wanted)
+    assert [x.effect for x in written.left] == ["stribeck_friction"]
+
+
+def test_a_servos_goal_changes_no_faster_than_its_limit(tmp_path):
+    text = ARM.replace("motor", 'position kp="30" kv="0.4"')
+    plant = plant_of(tmp_path, text, ["shoulder", "elbow"])
+    off, written = agreed(
+        tmp_path, plant, "robot.xml", corrected(plant, [("rate_limit", 1, {"rate": 9.0})])
+    )
+    assert off < EXPRESSED
+    assert written.left == ()
+    assert "<dcmotor" in written.text
+    both = [("rate_limit", 1, {"rate": 9.0}), ("actuator_lag", 1, {"time_constant": 0.05})]
+    assert [x.effect for x in patch(corrected(plant, both)).left] == ["rate_limit"]
+
+
+def test_a_motor_takes_its_inertia_from_the_armature_or_not_at_all(tmp_path):
+    plant = plant_of(tmp_path, ARM, ["shoulder", "elbow"])
+    law = {"period": 0.2, "ratio": 0.1, "share": 0.8}
+    assert [x.effect for x in patch(corrected(plant, [("elastic_transmission", 1, law)])).left] == [
+        "elastic_transmission"
+    ]
 
 
 def test_a_servo_saturates_in_its_error_and_is_written_as_a_force_range(tmp_path):
@@ -210,14 +249,13 @@ def test_what_mjcf_cannot_express_says_what_to_write_instead(tmp_path):
     for name, effect in effects().items():
         made = patch(
             corrected(
-                plant, [(name, 0, {n.name: n.low if n.low > 0 else 0.1 for n in effect.params})]
+                plant,
+                [(name, 1, NATIVE.get(name) or {n.name: max(n.low, 0.1) for n in effect.params})],
             )
         )
         whole = name in NATIVE or name == "sensor_delay"
         assert bool(made.left) != whole, name
-        assert all(
-            x.joint == "shoulder" and x.instead == effects()[name].in_mjcf for x in made.left
-        )
+        assert all(x.joint == "elbow" and x.instead == effects()[name].in_mjcf for x in made.left)
         assert made.changes or made.left
 
 

@@ -19,7 +19,9 @@ class Backlash(Effect):
     order = 6
     category = "structure"
     in_mjcf = (
-        "give the actuator a joint of its own before the link, with a range as wide as the play"
+        "apply the play to ctrl before each step: play = clip(play, ctrl - gap / 2, ctrl + gap / "
+        "2); a joint of limited range before the link is another law, in which the link is free "
+        "within the play"
     )
     params = (Number("gap", Scale.COMMAND, 0.0, 0.0, 1.2),)
     states = ("play",)

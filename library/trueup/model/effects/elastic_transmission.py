@@ -19,8 +19,9 @@ class ElasticTransmission(Effect):
     order = 9
     category = "structure"
     in_mjcf = (
-        "give the motor a joint and an inertia of its own, joined to the link's by a "
-        "tendon with stiffness and damping"
+        "give the motor a joint and an inertia of its own, joined to the link's by a tendon with "
+        "stiffness and damping; the command does so where the joint's armature holds the motor's "
+        "share, and no servo asks where the link is"
     )
     params = (
         Number("period", Scale.TIME, 0.0, 0.0, 4.0),

@@ -18,8 +18,8 @@ class Hysteresis(Effect):
     port = Port.FORCE
     category = "structure"
     in_mjcf = (
-        "integrate the hidden state beside mj_step and subtract its force from "
-        "qfrc_applied of the joint"
+        "integrate the hidden state beside mj_step and subtract its force from qfrc_applied of the "
+        "joint; with shape 1 and sharpness 0 a dcmotor's bristles are it"
     )
     params = (
         Number("level", Scale.ACCELERATION),

@@ -18,7 +18,10 @@ class RateLimit(Effect):
     port = Port.COMMAND
     order = 4
     category = "saturation"
-    in_mjcf = "let ctrl change by no more than rate x timestep from step to step"
+    in_mjcf = (
+        "let ctrl change by no more than rate x timestep from step to step; a dcmotor's controller "
+        "does so where neither a lag nor a constant force acts beside it"
+    )
     params = (Number("rate", Scale.RATE, INFINITY, 0.02, 1e3),)
     states = ("y",)
     begins = ("u",)

@@ -18,8 +18,9 @@ class StribeckFriction(Effect):
     port = Port.FRICTION
     category = "structure"
     in_mjcf = (
-        "frictionloss holds the level; add what comes on top near rest to "
-        "dof_frictionloss before each step"
+        "frictionloss holds the level; what comes on top near rest is written as bristles, "
+        "which give way a little before they slide, with a Gaussian curve. For the curve itself "
+        "add it to dof_frictionloss before each step instead"
     )
     params = (
         Number("level", Scale.ACCELERATION),
