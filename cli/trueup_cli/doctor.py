@@ -60,6 +60,7 @@ PACKAGES = (
     ),
     ("matplotlib", False, "pictures of a diagnosis in a notebook", "pip install 'trueup[plot]'"),
     ("mlflow", False, "versions to and from an MLflow registry", "pip install 'trueup[mlflow]'"),
+    ("oras", False, "models and archives in an OCI registry", "pip install 'trueup[oci]'"),
     ("onnx", False, "models written as ONNX", "pip install 'trueup[onnx]'"),
     ("pxr", False, "layers over a robot's USD asset", "pip install 'trueup[usd]'"),
     (

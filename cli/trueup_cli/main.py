@@ -97,6 +97,11 @@ _COMMANDS = {
         "Export versions to an MLflow registry, or import them from one.",
         VERIFIES,
     ),
+    "oci": (
+        "oci:app",
+        "Push models and archives to an OCI registry, or pull them from one.",
+        VERIFIES_LOCALLY,
+    ),
     "evidence": (
         "channels:evidence",
         "List the evidence on a version, by stage, or add to it.",
@@ -197,7 +202,7 @@ _COMMANDS = {
     "demo": ("demo:demo", "Run the main job on a real recording.", LOCAL),
 }
 # which have help and exit codes of their own
-APPS = "plant:app", "audit:app", "mlflow:app", "access:tokens", "access:projects"
+APPS = "plant:app", "audit:app", "mlflow:app", "oci:app", "access:tokens", "access:projects"
 for _name, (_target, _help, _codes) in _COMMANDS.items():
     app.command(
         f"trueup_cli.{_target}",

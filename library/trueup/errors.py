@@ -15,6 +15,7 @@
     ├── NotExportable            this model has no form in what was asked for
     ├── NotImportable            what another registry keeps of a model makes no predictor
     ├── MlflowRefused            an MLflow registry did not do what it was asked for
+    ├── OciRefused               an OCI registry did not do what it was asked for
     ├── NoSuchDigest             no digest, or several, begin as one was given
     ├── BadArtifact              a manifest, an array or a digest does not hold
     ├── BadGate                  a gate that cannot judge
@@ -158,6 +159,15 @@ class NotImportable(TrueupError):
     hint = (
         "Log the plant's parameters, as its plant.json names them, as params of the run "
         "that the model came from."
+    )
+
+
+class OciRefused(TrueupError):
+    """The OCI registry did not do what it was asked for."""
+
+    code = "oci-refused"
+    hint = (
+        "Name it as HOST/REPOSITORY:TAG, and log in with `oras login HOST` or `docker login HOST`."
     )
 
 

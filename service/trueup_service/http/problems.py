@@ -46,6 +46,7 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     errors.NotImportable: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.NoSuchDigest: HTTPStatus.NOT_FOUND,
     errors.MlflowRefused: HTTPStatus.BAD_GATEWAY,
+    errors.OciRefused: HTTPStatus.BAD_GATEWAY,
     errors.NotIdentifiable: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.RoleRefused: HTTPStatus.FORBIDDEN,
     errors.PointerMoved: HTTPStatus.CONFLICT,
