@@ -351,6 +351,8 @@ def _registry(reference: str, *, plain_http: bool) -> Iterator[_Registry]:
     insecure = plain_http or host.rpartition(":")[0] in LOCAL or host in LOCAL
     client = oras.OrasClient(hostname=host, insecure=insecure)
     client.session.request = partial(client.session.request, timeout=ANSWERS_WITHIN_S)
+    # the client's own way is to ask again for minutes, even where the answer is no
+    client.do_request = partial(type(client).do_request.__wrapped__, client)
     try:
         container = client.get_container(reference)
         client.auth.load_configs(container)

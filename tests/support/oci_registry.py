@@ -113,7 +113,7 @@ class _Handler(BaseHTTPRequestHandler):
 def oci_registry():
     """Yields a registry while it runs."""
     registry = Registry()
-    thread = Thread(target=registry.serve_forever, daemon=True)
+    thread = Thread(target=registry.serve_forever, args=(0.01,), daemon=True)
     thread.start()
     try:
         yield registry
