@@ -15,6 +15,7 @@ import trueup
 from trueup.artifact.model import Model, load
 from trueup.artifact.onnx import to_onnx
 from trueup.errors import NotExportable
+from trueup.export.fmu import write_fmu
 from trueup.export.targets import TARGETS, Asked, export
 from trueup.model.corrected import Corrected
 from trueup.model.dynamics import CompiledFamily, Dynamics
@@ -50,10 +51,10 @@ def convert(
 ) -> None:
     """Write a model for another program.
 
-    Without a target: ONNX (`*.onnx`) holds one step of the model, MJCF (`*.xml`) the part of it
-    that MuJoCo has elements for. Isaac Lab and mjlab get actuator configurations with events that
-    randomise them over their 95 % intervals, ros2_control a proposal of compensating parameters,
-    USD a layer over the robot's asset.
+    Without a target: ONNX (`*.onnx`) holds one step of the model, an FMU (`*.fmu`) that step as a
+    unit of FMI 3.0, MJCF (`*.xml`) the part of it that MuJoCo has elements for. Isaac Lab and mjlab
+    get actuator configurations with events that randomise them over their 95 % intervals,
+    ros2_control a proposal of compensating parameters, USD a layer over the robot's asset.
 
     Parameters
     ----------
@@ -124,13 +125,18 @@ def _onnx(model: Model, to: Path, _: Path | None) -> Sequence[Left]:
     return ()
 
 
+def _fmu(model: Model, to: Path, _: Path | None) -> Sequence[Left]:
+    write_fmu(model.predictor, model.digest, to)
+    return ()
+
+
 def _xml(model: Model, to: Path, source: Path | None) -> Sequence[Left]:
     written = _mjcf(model, source)
     to.write_text(written.text)
     return written.left
 
 
-WRITERS = {".onnx": _onnx, ".xml": _xml}
+WRITERS = {".onnx": _onnx, ".xml": _xml, ".fmu": _fmu}
 
 
 def _mjcf(model: Model, source: Path | None) -> Written:

@@ -62,6 +62,7 @@ PACKAGES = (
     ("mlflow", False, "versions to and from an MLflow registry", "pip install 'trueup[mlflow]'"),
     ("oras", False, "models and archives in an OCI registry", "pip install 'trueup[oci]'"),
     ("onnx", False, "models written as ONNX", "pip install 'trueup[onnx]'"),
+    ("pythonfmu3", False, "models written as units of FMI 3.0", "pip install 'trueup[fmu]'"),
     ("pxr", False, "layers over a robot's USD asset", "pip install 'trueup[usd]'"),
     (
         "onnxruntime",

@@ -89,7 +89,7 @@ _COMMANDS = {
     "fetch": ("serving:fetch", "Fetch a model and verify every byte.", VERIFIES),
     "convert": (
         "convert:convert",
-        "Write a model for Isaac Lab, mjlab or ros2_control, or as ONNX or MJCF.",
+        "Write a model for Isaac Lab, mjlab or ros2_control, or as ONNX, FMU or MJCF.",
         LOCAL,
     ),
     "mlflow": (

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from trueup.notebook.case import Case
     from trueup.notebook.compare import Comparison, compare
     from trueup.notebook.diagnosis import Diagnosis, diagnose
-    from trueup.notebook.excitations import Experiment, excite
+    from trueup.notebook.excitations import Allowed, Experiment, excite
     from trueup.notebook.models import (
         FirstModel,
         Inertia,
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from trueup.notebook.trials import BlindTrial, blind_trial
 
 __all__ = [
+    "Allowed",
     "BlindTrial",
     "Case",
     "Comparison",
@@ -53,6 +54,7 @@ __version__ = "0.1.0"
 _MODULES = {
     "Model": "trueup.artifact.model",
     "load": "trueup.artifact.model",
+    "Allowed": "trueup.notebook.excitations",
     "load_effect": "trueup.model.effect",
     "load_simulator": "trueup.model.simulator.simulator",
     "BlindTrial": "trueup.notebook.trials",

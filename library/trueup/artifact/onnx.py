@@ -82,18 +82,23 @@ def _package() -> ModuleType:
 
 def _metadata(stepper: StepFunction, artifact: str) -> dict[str, str]:
     """The metadata of the columns."""
-    layout = stepper.plant.layout
+    plant, layout = stepper.plant, stepper.plant.layout
     metadata: dict[str, Json] = {
         "schema": SCHEMA,
-        "plant": stepper.plant.name,
+        "plant": plant.name,
         "artifact": artifact,
-        "period_s": stepper.plant.timestep_s,
+        "period_s": plant.timestep_s,
         "state": [
             {"name": name, "begins": _sum_in_words(of), "of": dict(of)}
             for name, of in _beginnings(stepper).items()
         ],
         "command": [
-            {"name": c.name, "unit": c.unit, "limits": list(c.limits or ())}
+            {
+                "name": c.name,
+                "unit": c.unit,
+                "limits": list(c.limits or ()),
+                "of": _within_limits(stepper.labels[plant.joint_of(c)]),
+            }
             for c in layout.commands
         ],
         "observation": [{"name": c.name, "unit": c.unit} for c in layout.observations],
@@ -111,13 +116,18 @@ def _beginnings(stepper: StepFunction) -> dict[str, dict[str, float]]:
     names = [
         *(f"{POSITION}{label}" for label in labels),
         *(f"{VELOCITY}{label}" for label in labels),
-        *(f"command{label} within its limits" for label in labels),
+        *map(_within_limits, labels),
     ]
     begun = stepper.begin_held(*map(list, np.split(np.eye(len(names)), 3)))
     return {
         name: {of: float(x) for of, x in zip(names, factors, strict=True) if x}
         for name, factors in begun.items()
     }
+
+
+def _within_limits(label: str) -> str:
+    """What a joint's first command within its limits is called."""
+    return f"command{label} within its limits"
 
 
 def _sum_in_words(factors: Mapping[str, float]) -> str:

@@ -16,6 +16,7 @@ from trueup.diagnose.excitation_design import Allowed, Design, design
 from trueup.notebook.case import Case
 from trueup.notebook.diagnosis import Diagnosis, Progress, shown
 
+__all__ = ["Allowed", "Experiment", "excite"]
 Array = NDArray[np.float64]
 
 
