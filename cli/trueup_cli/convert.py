@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
-from collections.abc import Sequence
-from functools import singledispatch
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,22 +10,15 @@ from cyclopts import Parameter
 
 import trueup
 from trueup.artifact.model import Model, load
-from trueup.artifact.onnx import to_onnx
 from trueup.errors import NotExportable
-from trueup.export.fmu import write_fmu
-from trueup.export.targets import TARGETS, Asked, export
-from trueup.model.corrected import Corrected
-from trueup.model.dynamics import CompiledFamily, Dynamics
-from trueup.model.mjcf import compile_file
+from trueup.export.targets import FORMATS, TARGETS, Asked, export
 from trueup.model.mjcf_check import differences
-from trueup.model.mjcf_family import mjcf_of_joint
-from trueup.model.mjcf_patch import Left, patch
-from trueup.model.mjcf_writer import Written, write
-from trueup.model.predictor import Physical
 from trueup_cli.options import Json
 from trueup_cli.show import as_json, progress, say
 
 MODEL_FOLDER, REPORT_FILE = "model", "report.json"
+# targets whose forces are per unit of inertia where none is given
+PER_INERTIA = "isaaclab", "mjlab", "ros2_control", "usd"
 
 
 def convert(
@@ -69,19 +59,18 @@ def convert(
     """
     fetched, report = _read(model)
     with progress(f"writing {to.name}"):
-        if target is not None:
-            asked = Asked(
-                fetched.predictor, fetched.digest, trueup.__version__, report, step, inertia, asset
-            )
-            left: Sequence[Left] = export(asked, target, to)
-        elif to.suffix in WRITERS:
-            left = WRITERS[to.suffix](fetched, to, mjcf)
-        else:
-            raise NotExportable(
-                f"{to.name} is of no form that is known",
-                hint=f"End the file's name with {' or '.join(WRITERS)}, or name a --target.",
-            )
-    apart = differences(to, fetched.predictor) if target is None and to.suffix == ".xml" else ()
+        asked = Asked(
+            fetched.predictor,
+            fetched.digest,
+            trueup.__version__,
+            report,
+            step,
+            inertia,
+            asset,
+            mjcf,
+        )
+        left = export(asked, target, to)
+        apart = differences(to, fetched.predictor) if to.suffix == ".xml" else ()
     if as_json_:
         as_json(
             {
@@ -93,7 +82,8 @@ def convert(
         )
         return
     say("{}: {}, artifact {}", to, fetched.plant.name, fetched.digest[:12])
-    if target is not None and inertia is None and fetched.plant.form.per_inertia:
+    chosen = target or FORMATS.get(to.suffix)
+    if chosen in PER_INERTIA and inertia is None and fetched.plant.form.per_inertia:
         say("forces are per unit of inertia: --inertia makes newton metres of them")
     for x in left:
         say("not expressed: {}", x)
@@ -118,65 +108,3 @@ def _read(folder: Path) -> tuple[Model, dict[str, Any] | None]:
     if (folder / MODEL_FOLDER).is_dir() and report.is_file():
         return load(folder / MODEL_FOLDER), json.loads(report.read_bytes())
     return load(folder), None
-
-
-def _onnx(model: Model, to: Path, _: Path | None) -> Sequence[Left]:
-    to.write_bytes(to_onnx(model.predictor, model.digest))
-    return ()
-
-
-def _fmu(model: Model, to: Path, _: Path | None) -> Sequence[Left]:
-    write_fmu(model.predictor, model.digest, to)
-    return ()
-
-
-def _xml(model: Model, to: Path, source: Path | None) -> Sequence[Left]:
-    written = _mjcf(model, source)
-    to.write_text(written.text)
-    return written.left
-
-
-WRITERS = {".onnx": _onnx, ".xml": _xml, ".fmu": _fmu}
-
-
-def _mjcf(model: Model, source: Path | None) -> Written:
-    predictor = model.predictor
-    if isinstance(predictor, Physical):
-        predictor = Corrected.of_numbers(predictor.plant, predictor.parameters)
-    if not isinstance(predictor, Corrected):
-        raise NotExportable(
-            f"a predictor of the kind {predictor.kind!r} is no machine that MJCF can describe",
-            hint="Write it as ONNX.",
-        )
-    heading = [
-        f"{model.plant.name}, artifact {model.digest}, written by trueup {trueup.__version__}"
-    ]
-    return _written(model.plant.dynamics, predictor, source, heading)
-
-
-@singledispatch
-def _written(_: Dynamics, predictor: Corrected, source: Path | None, heading: list[str]) -> Written:
-    nominal: Any = predictor.plant.document["nominal"]
-    if source is None:
-        raise NotExportable(
-            "the model of a robot is written into the file that it was declared by",
-            hint=(
-                "Name that file with --mjcf; its SHA-256 is "
-                f"{nominal.get('sha256') or 'not known'}."
-            ),
-        )
-    sha256 = compile_file(source).sha256
-    if sha256 != nominal.get("sha256"):
-        raise NotExportable(
-            f"{source.name} is not the file that the robot was declared by",
-            hint=f"Name the one whose SHA-256 is {nominal.get('sha256')}; this one's is {sha256}.",
-        )
-    return write(source, patch(predictor), heading)
-
-
-@_written.register
-def _written_joint(
-    _: CompiledFamily, predictor: Corrected, source: Path | None, heading: list[str]
-) -> Written:
-    with tempfile.TemporaryDirectory() as folder:
-        return mjcf_of_joint(predictor, Path(folder), heading)

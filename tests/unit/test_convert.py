@@ -74,7 +74,5 @@ def test_what_has_no_form_is_refused(tmp_path):
     kept(Nominal(plant), tmp_path / "m")
     with pytest.raises(NotExportable, match="of no form") as refused:
         convert(tmp_path / "m", tmp_path / "m.urdf")
-    assert (
-        refused.value.hint == "End the file's name with .onnx or .xml or .fmu, or name a --target."
-    )
+    assert "End the file's name with .onnx or .fmu or .xml" in refused.value.hint
     assert not (tmp_path / "m.urdf").exists()

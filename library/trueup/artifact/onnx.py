@@ -29,9 +29,12 @@ IR_VERSION, OPERATOR_SET = 8, 17
 SCHEMA = "trueup.onnx/1"
 
 
-def to_onnx(predictor: Predictor, artifact: str) -> bytes:
+def to_onnx(
+    predictor: Predictor, artifact: str, diagnosis: Mapping[str, Json] | None = None
+) -> bytes:
     """A predictor's step as an ONNX model; its metadata names the artifact by the digest
-    `artifact`. Raises NotExportable of a simulator, NotInstalled without the package onnx."""
+    `artifact`, and holds what a `diagnosis` says of it. Raises NotExportable of a simulator,
+    NotInstalled without the package onnx."""
     onnx = _package()
     stepper = StepFunction.of(predictor)
     graph, names = Graph(onnx), stepper.names
@@ -65,7 +68,7 @@ def to_onnx(predictor: Predictor, artifact: str) -> bytes:
         opset_imports=[onnx.helper.make_opsetid("", OPERATOR_SET)],
         producer_name="trueup",
     )
-    onnx.helper.set_model_props(model, _metadata(stepper, artifact))
+    onnx.helper.set_model_props(model, _metadata(stepper, artifact, diagnosis))
     onnx.checker.check_model(model, full_check=True)
     return bytes(model.SerializeToString(deterministic=True))
 
@@ -80,7 +83,9 @@ def _package() -> ModuleType:
         ) from error
 
 
-def _metadata(stepper: StepFunction, artifact: str) -> dict[str, str]:
+def _metadata(
+    stepper: StepFunction, artifact: str, diagnosis: Mapping[str, Json] | None
+) -> dict[str, str]:
     """The metadata of the columns."""
     plant, layout = stepper.plant, stepper.plant.layout
     metadata: dict[str, Json] = {
@@ -102,6 +107,7 @@ def _metadata(stepper: StepFunction, artifact: str) -> dict[str, str]:
             for c in layout.commands
         ],
         "observation": [{"name": c.name, "unit": c.unit} for c in layout.observations],
+        **({"diagnosis": dict(diagnosis)} if diagnosis else {}),
     }
     return {
         name: value if isinstance(value, str) else json.dumps(value)

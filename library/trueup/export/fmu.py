@@ -9,19 +9,24 @@ from __future__ import annotations
 import importlib
 import shutil
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
 from trueup.artifact.onnx import to_onnx
+from trueup.canonical import Json
 from trueup.errors import NotInstalled
 from trueup.model.predictor import Predictor
 
 SLAVE, MODEL = "fmu_slave.py", "model.onnx"
 
 
-def write_fmu(predictor: Predictor, artifact: str, to: Path) -> None:
-    """Write a predictor as a unit; its description names the artifact by the digest `artifact`.
-    Raises NotExportable of a simulator, NotInstalled without pythonfmu3, onnx or onnxruntime."""
-    content = to_onnx(predictor, artifact)
+def write_fmu(
+    predictor: Predictor, artifact: str, to: Path, diagnosis: Mapping[str, Json] | None = None
+) -> None:
+    """Write a predictor as a unit; its description names the artifact by the digest `artifact`, and
+    says what a `diagnosis` answers. Raises NotExportable of a simulator, NotInstalled without
+    pythonfmu3, onnx or onnxruntime."""
+    content = to_onnx(predictor, artifact, diagnosis)
     try:
         builder = importlib.import_module("pythonfmu3.builder")
         importlib.import_module("onnxruntime")

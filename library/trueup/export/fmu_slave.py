@@ -36,7 +36,9 @@ class TrueupModel(Fmi3Slave):  # type: ignore[misc]
         self._session = onnxruntime.InferenceSession(str(Path(self.resources) / MODEL))
         known = self._session.get_modelmeta().custom_metadata_map
         self._period_s, self._states = float(known["period_s"]), json.loads(known["state"])
-        self.description = f"{known['plant']}, artifact {known['artifact']}, written by trueup"
+        answer = json.loads(known.get("diagnosis", "{}")).get("answer", "")
+        made = f"{known['plant']}, artifact {known['artifact']}, written by trueup"
+        self.description = f"{made}. {answer}" if answer else made
         self.modelName = identifier(known["plant"])
         self._state: Any = None
         inputs, outputs = (json.loads(known[name]) for name in ("command", "observation"))

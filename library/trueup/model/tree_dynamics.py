@@ -106,7 +106,8 @@ class TreeDynamics:
         ways: list[Any] = []
         for j, c in enumerate(self.constants):
             base, place = c[FRAME : FRAME + 9].reshape(3, 3).T, c[FRAME + 9 : ZERO]
-            turn, way = base + 0.0 * cosine[..., j, None, None], place + 0.0 * moved[..., j, None]
+            nothing = 0.0 * moved[..., j, None]  # with as many lanes as the rest
+            turn, way = base + nothing[..., None], place + nothing
             if c[SLIDE] > 0.0:
                 way = place + moved[..., j, None] * base[:, ALONG]
             else:
@@ -127,27 +128,27 @@ class TreeDynamics:
     def mass(self, at: Links) -> Any:
         """The mass matrix, armatures included, `(joints, joints)`."""
         mass, first, second = self._inertias(at)
-        mass_origin = mass * at.origin
-        about_first = first + mass_origin  # about the world's origin, as all below
-        whole_mass = self.carried @ mass
-        whole_first = self.carried @ about_first
-        # second moments about the world's origin, column by column
-        inner, square = (at.origin * first) @ ONES, (at.origin * at.origin) @ ONES
-        spread = 2.0 * inner + mass * square
+        first_about_world = first + mass * at.origin
+        composite_mass = self.carried @ mass
+        composite_first = self.carried @ first_about_world
+        # a unit velocity of each joint: how fast all that it carries turns, and moves at the
+        # world's origin
         turning = at.axis * (1.0 - self.slides)
         moving = _cross(at.origin, turning) + at.axis * self.slides
-        moment = _cross(whole_first, moving)
+        # momentum of what each joint carries, the second moments column by column
+        force = composite_mass * moving + _cross(turning, composite_first)
+        moment = _cross(composite_first, moving)
+        trace = (2.0 * at.origin * first + mass * at.origin * at.origin) @ ONES
         for k, unit in enumerate(np.eye(3)):
-            column = (
+            about_world = (
                 second[..., k]
-                + spread * unit
+                + trace * unit
                 - at.origin * first[..., k, None]
-                - (first + mass_origin) * at.origin[..., k, None]
+                - first_about_world * at.origin[..., k, None]
             )
-            moment = moment + (self.carried @ column) * turning[..., k, None]
-        force = whole_mass * moving + _cross(turning, whole_first)
+            moment = moment + (self.carried @ about_world) * turning[..., k, None]
         coupled = turning @ np.swapaxes(moment, -1, -2) + moving @ np.swapaxes(force, -1, -2)
-        upper = coupled * self.carried  # what a joint needs for one that it carries
+        upper = coupled * self.carried  # of a joint and one that it carries
         lower = np.swapaxes(coupled * (self.carried - np.eye(self.joints)), -1, -2)
         return upper + lower + self.diagonal(ARMATURE)
 
@@ -155,33 +156,28 @@ class TreeDynamics:
         """Centrifugal, Coriolis and gravity force at each joint, `(joints,)`, at velocities."""
         mass, first, second = self._inertias(at)
         reach, above = self.carried.T, self.carried.T - np.eye(self.joints)
-        moving = at.axis * v[..., None]
-        turning = moving * (1.0 - self.slides)
-        rate, rate_before = reach @ turning, above @ turning
-        faster = _cross(rate_before, turning)
-        acceleration_of_turn, before = reach @ faster, above @ faster
-        pulled = (
-            _cross(before, at.way)
-            + _cross(rate_before, _cross(rate_before, at.way))
-            + 2.0 * _cross(rate_before, moving * self.slides)
+        by_joint = at.axis * v[..., None]
+        turning = by_joint * (1.0 - self.slides)
+        rate, parent_rate = reach @ turning, above @ turning
+        gained = _cross(parent_rate, turning)
+        rate_change, parent_rate_change = reach @ gained, above @ gained
+        gained = (
+            _cross(parent_rate_change, at.way)
+            + _cross(parent_rate, _cross(parent_rate, at.way))
+            + 2.0 * _cross(parent_rate, by_joint * self.slides)
         )
-        of_origin = reach @ pulled - self.constants[0, GRAVITY:]
-        force = (
-            mass * of_origin
-            + _cross(acceleration_of_turn, first)
-            + _cross(rate, _cross(rate, first))
-        )
+        acceleration = reach @ gained - self.constants[0, GRAVITY:]  # of each link's origin
+        force = mass * acceleration + _cross(rate_change, first) + _cross(rate, _cross(rate, first))
         moment = (
-            _cross(first, of_origin)
-            + times(second, acceleration_of_turn)
+            _cross(first, acceleration)
+            + times(second, rate_change)
             + _cross(rate, times(second, rate))
         )
-        all_force = self.carried @ force
-        all_moment = self.carried @ (moment + _cross(at.origin, force))
-        wrench = all_force * self.slides + (all_moment - _cross(at.origin, all_force)) * (
-            1.0 - self.slides
-        )
-        return ((at.axis * wrench) @ ONES)[..., 0]
+        carried_force = self.carried @ force
+        about_world = self.carried @ (moment + _cross(at.origin, force))
+        carried_moment = about_world - _cross(at.origin, carried_force)
+        at_joint = carried_force * self.slides + carried_moment * (1.0 - self.slides)
+        return ((at.axis * at_joint) @ ONES)[..., 0]
 
     def _inertias(self, at: Links) -> tuple[Array, Any, Any]:
         """Masses `(joints, 1)`, first moments `(joints, 3)` and second moments `(joints, 3, 3)` of

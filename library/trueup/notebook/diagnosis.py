@@ -169,18 +169,20 @@ class Diagnosis:
     def export(
         self,
         to: str | PathLike[str],
-        target: str,
+        target: str | None = None,
         *,
         step_s: float | None = None,
         inertia: float | None = None,
         asset: str | PathLike[str] | None = None,
+        mjcf: str | PathLike[str] | None = None,
     ) -> tuple[str, ...]:
         """Write the corrected model for another program, with the intervals of its numbers.
 
-        `target` is isaaclab, mjlab, ros2_control, usd or randomisation; `step_s` [s] the physics
-        step of the target, `inertia` [kg m^2, or kg] that of a single joint, `asset` the USD file
-        over which a layer lies. Returns in words what the
-        target cannot hold. Raises NotExportable.
+        `target` is isaaclab, mjlab, ros2_control, usd, randomisation, onnx, fmu or mjcf; the ends
+        .usda, .onnx, .fmu and .xml tell it by themselves. `step_s` [s] is the physics step of the
+        target, `inertia` [kg m^2, or kg] that of a single joint, `asset` the USD file over which a
+        layer lies, `mjcf` the file that a robot was declared by. Returns in words what the target
+        cannot hold. Raises NotExportable.
         """
         asked = Asked(
             self.engine.predictor,
@@ -190,6 +192,7 @@ class Diagnosis:
             step_s,
             inertia,
             None if asset is None else Path(asset),
+            None if mjcf is None else Path(mjcf),
         )
         return tuple(map(str, export(asked, target, Path(to))))
 

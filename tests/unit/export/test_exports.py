@@ -5,6 +5,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import onnx
 import pytest
 import yaml as pyyaml
 
@@ -125,6 +126,20 @@ def test_what_cannot_be_told_apart_is_told(answer, tmp_path):
     report = json.loads(json.dumps(answer.report)) | {"indistinguishable": [["stribeck_friction"]]}
     export(asked(answer.engine.predictor, report=report), "isaaclab", tmp_path / "arm.py")
     assert "cannot tell this from: Stribeck friction" in (tmp_path / "arm.py").read_text()
+
+
+def test_formats_of_other_runtimes_hold_the_intervals_too(answer, tmp_path):
+    level = answer.effects[0].estimates["level"]
+    answer.export(tmp_path / "arm.onnx")
+    metadata = onnx.load(tmp_path / "arm.onnx").metadata_props
+    known = json.loads({p.key: p.value for p in metadata}["diagnosis"])
+    assert known["answer"] == answer.sentence
+    by_name = {x["name"]: x for x in known["intervals"]}
+    assert by_name["coulomb_friction, level"]["ci95"] == list(level.ci95)
+    answer.export(tmp_path / "arm.xml")
+    text = (tmp_path / "arm.xml").read_text()
+    assert f"coulomb_friction, level: {level.value:.6g}" in text
+    assert f"95 % interval {level.ci95[0]:.6g} to {level.ci95[1]:.6g}" in text
 
 
 def test_yaml_holds_the_same_numbers(answer, tmp_path):
