@@ -67,6 +67,7 @@ LONG = {
     "excite",
     "login",
     "mlflow",
+    "oci",
     "init",
 }
 # what is no command of ours, or is tested as what `make` does
@@ -74,6 +75,7 @@ OTHERS = {
     "make",
     "export",
     "pip",
+    "oras",
     "ros2",
     ".",
 }
