@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from trueup.model.simulator.simulator import load_simulator
     from trueup.notebook.case import Case
     from trueup.notebook.compare import Comparison, compare
+    from trueup.notebook.conversion import convert
     from trueup.notebook.diagnosis import Diagnosis, diagnose
     from trueup.notebook.excitations import Allowed, Experiment, excite
     from trueup.notebook.models import (
@@ -43,6 +44,7 @@ __all__ = [
     "Simulator",
     "blind_trial",
     "compare",
+    "convert",
     "diagnose",
     "excite",
     "load",
@@ -62,6 +64,7 @@ _MODULES = {
     "Comparison": "trueup.notebook.compare",
     "blind_trial": "trueup.notebook.trials",
     "compare": "trueup.notebook.compare",
+    "convert": "trueup.notebook.conversion",
     "Diagnosis": "trueup.notebook.diagnosis",
     "diagnose": "trueup.notebook.diagnosis",
     "Experiment": "trueup.notebook.excitations",

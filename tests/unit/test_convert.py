@@ -8,6 +8,7 @@ import numpy as np
 import onnx
 import pytest
 
+import trueup
 from tests.support.made import plant_document
 from tests.support.robots import ARM, arm_plant
 from tests.unit.artifact.test_model import kept
@@ -64,6 +65,16 @@ def test_a_robot_is_written_into_its_own_file(tmp_path):
     assert plant.document["nominal"]["sha256"] in refused.value.hint
     convert(tmp_path / "m", tmp_path / "m.onnx")
     assert (tmp_path / "m.onnx").stat().st_size > 0
+
+
+def test_a_notebook_writes_what_the_command_does(tmp_path):
+    kept(model_of("oscillator", {"backlash": {"gap": 0.1}}), tmp_path / "m")
+    convert(tmp_path / "m", tmp_path / "by command.onnx")
+    model = trueup.load(tmp_path / "m")
+    assert trueup.convert(model, tmp_path / "m.onnx") == ()
+    assert (tmp_path / "m.onnx").read_bytes() == (tmp_path / "by command.onnx").read_bytes()
+    (left,) = trueup.convert(model, tmp_path / "m.xml")
+    assert left.startswith("backlash at joint: ")
 
 
 def test_what_has_no_form_is_refused(tmp_path):
