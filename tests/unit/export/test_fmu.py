@@ -5,6 +5,8 @@ import sys
 
 import fmpy
 import numpy as np
+import pytest
+from pythonfmu3.builder import FmuBuilder
 
 from tests.support import fmu_run
 from tests.unit.model.test_step_function import (
@@ -17,6 +19,10 @@ from tests.unit.model.test_step_function import (
 )
 from trueup.export.fmu import write_fmu
 from trueup.model.series import DECLARED, Scheme
+
+pytestmark = pytest.mark.skipif(
+    not FmuBuilder.has_binary(), reason="pythonfmu3 has no binary for this kind of machine"
+)
 
 
 def run(path, plant, start, issued):
