@@ -62,8 +62,14 @@ def test_a_graph_is_the_compiled_rollout(names, scheme):
     assert np.abs(stepped_by_graph - compiled(model, start, issued)).max() < 1e-9
 
 
-@pytest.mark.parametrize("scheme", [DECLARED, Scheme(0.5, 2)], ids=["declared", "symmetric"])
-@pytest.mark.parametrize("at", ROBOTS.values(), ids=ROBOTS)
+@pytest.mark.parametrize(
+    ("at", "scheme"),
+    [
+        *((at, Scheme(0.5, 2)) for at in ROBOTS.values()),
+        *((ROBOTS[name], DECLARED) for name in ("none", "everywhere")),
+    ],
+    ids=[*ROBOTS, "none, declared", "everywhere, declared"],
+)
 def test_a_robots_graph_is_the_compiled_rollout(tmp_path, at, scheme):
     model = robot(tmp_path, at, scheme)
     start, issued = robot_motion(model.plant)
