@@ -45,7 +45,7 @@ PlainHttp = Annotated[
 IMAGE = "application/vnd.oci.image.manifest.v1+json"
 INDEX = "application/vnd.oci.image.index.v1+json"
 MODEL = "application/vnd.trueup.model.v1"
-EMPTY = {"mediaType": "application/vnd.oci.empty.v1+json", "data": b"{}"}
+EMPTY = "application/vnd.oci.empty.v1+json"
 FILES = {MANIFEST: f"{MODEL}.manifest+json", ARRAYS: "application/vnd.safetensors"}
 TITLE = "org.opencontainers.image.title"
 LAYOUT = {"imageLayoutVersion": "1.0.0"}
@@ -104,20 +104,34 @@ def pull(
     """
     if to.exists() and (not to.is_dir() or any(to.iterdir())):
         raise NotExportable(f"{to} is there already", hint="Name a folder that is not there yet.")
-    with _registry(reference, plain_http=plain_http) as there, progress(f"pull {reference}") as bar:
+    to.parent.mkdir(parents=True, exist_ok=True)
+    with (
+        _registry(reference, plain_http=plain_http) as there,
+        progress(f"pull {reference}") as bar,
+        tempfile.TemporaryDirectory(dir=to.parent, prefix=f"{to.name}.part") as folder,
+    ):
         kind, content = there.document(there.tagged)
-        document: Any = json.loads(content)
-        to.mkdir(parents=True, exist_ok=True)
-        if kind == INDEX:
-            _pull_archive(there, document, to, bar)
-        elif document.get("artifactType") == MODEL:
-            _pull_model(there, document, to, bar)
-        else:
-            raise OciRefused(
-                f"{reference} is a {document.get('artifactType') or kind}, no model or archive",
-                hint="Name what `trueup oci push` pushed.",
-            )
+        whole = Path(folder) / to.name  # it is renamed when it is whole
+        whole.mkdir()
+        try:
+            _pull(there, reference, kind, json.loads(content), whole, bar)
+        except (KeyError, TypeError, AttributeError) as error:
+            raise OciRefused(f"{reference} does not describe itself: {error!r}") from error
+        whole.rename(to)
     _tell("pulled", reference, digest_of_bytes(content), as_json_=as_json_)
+
+
+def _pull(there: _Registry, reference: str, kind: str, document: Any, to: Path, bar: Bar) -> None:
+    """Writes what a manifest or an index of a media type names to a folder."""
+    if kind == INDEX:
+        _pull_archive(there, document, to, bar)
+    elif document.get("artifactType") == MODEL:
+        _pull_model(there, document, to, bar)
+    else:
+        raise OciRefused(
+            f"{reference} is a {document.get('artifactType') or kind}, no model or archive",
+            hint="Name what `trueup oci push` pushed.",
+        )
 
 
 def _tell(done: str, reference: str, digest: str, *, as_json_: bool) -> None:
@@ -144,10 +158,10 @@ def _push_model(there: _Registry, source: Path) -> str:
     layers: list[JsonValue] = []
     for name, media_type in FILES.items():
         if (where / name).is_file():
-            data = (where / name).read_bytes()
-            layers.append(_descriptor(media_type, data) | {"annotations": {TITLE: name}})
-            there.send(_descriptor(media_type, data), where / name)
-    empty = _descriptor(str(EMPTY["mediaType"]), b"{}")
+            described = _descriptor(media_type, (where / name).read_bytes())
+            there.send(described, where / name)
+            layers.append(described | {"annotations": {TITLE: name}})
+    empty = _descriptor(EMPTY, b"{}")
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "config").write_bytes(b"{}")
         there.send(empty, Path(folder) / "config")

@@ -91,6 +91,7 @@ def test_a_registry_that_sends_other_bytes_is_caught(registry, model, tmp_path, 
     with pytest.raises(OciRefused, match="other bytes than sha256:"):
         oci.pull(f"{registry.host}/robots/bench:v1", tmp_path / "back")
     assert not (tmp_path / "back" / "manifest.json").exists()
+    assert list(tmp_path.glob("back*")) == []  # nothing half is left, and the next pull can begin
 
 
 def test_a_manifest_that_its_digest_does_not_name_is_caught(registry, model, tmp_path, capsys):
@@ -127,6 +128,19 @@ def test_a_blob_of_another_name_than_its_digest_is_no_path(registry, tmp_path):
     registry.manifests["site/bench", "v1"] = oci.INDEX, json.dumps(index).encode()
     with pytest.raises(OciRefused, match="no SHA-256"):
         oci.pull(f"{registry.host}/site/bench:v1", tmp_path / "back")
+
+
+@pytest.mark.parametrize(
+    "document",
+    [b"[]", b"{}", b"not json", b'{"artifactType": "application/vnd.trueup.model.v1"}',
+     b'{"artifactType": "application/vnd.trueup.model.v1", "layers": [{"annotations": 1}]}'],
+)  # fmt: skip
+@pytest.mark.parametrize("kind", [oci.IMAGE, oci.INDEX])
+def test_a_manifest_that_makes_no_sense_is_refused(registry, tmp_path, kind, document):
+    registry.manifests["robots/bench", "v1"] = kind, document
+    with pytest.raises(OciRefused):
+        oci.pull(f"{registry.host}/robots/bench:v1", tmp_path / "back")
+    assert not (tmp_path / "back").exists()
 
 
 def test_a_registry_that_says_no_is_quoted(registry, model, tmp_path):

@@ -36,8 +36,8 @@ class Graph:
 
     def column(self, source: str, number: int) -> Symbol:
         """A column `(n,)` of an input."""
-        index = self._constant(np.int64(number))
-        return self.apply("Gather", [Symbol(self, source, 2), index], 1, axis=1)
+        place = self.integers(number)
+        return self.apply("Gather", [Symbol(self, source, 2), place], 1, axis=1)
 
     def output(self, columns: Sequence[Any], like: Symbol, name: str) -> None:
         """Columns beside each other as an output; one number for all rows becomes a column."""

@@ -24,8 +24,9 @@ MODEL = "model.onnx"
 
 
 def identifier(name: str) -> str:
-    """Returns a name as a variable of a unit may have it: letters, digits and underscores."""
-    return re.sub(r"\W+", "_", name).strip("_") or "x"
+    """Returns a name as C has it: letters, digits and underscores, and no digit first."""
+    plain = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
+    return plain if plain[:1].isalpha() else f"x{plain}"
 
 
 class TrueupModel(Fmi3Slave):  # type: ignore[misc]
@@ -61,12 +62,15 @@ class TrueupModel(Fmi3Slave):  # type: ignore[misc]
     def _add(self, channel: dict[str, Any], causality: Any, kept: Any, at: Any) -> None:
         """Registers a number that is kept in an array or a dictionary."""
         is_parameter = causality == Fmi3Causality.parameter
+        name, taken = identifier(channel["name"]), {v.name for v in self.vars.values()}
+        while name in taken:
+            name += "_"
         self.register_variable(
             Float64(
-                identifier(channel["name"]),
+                name,
                 causality=causality,
                 variability=Fmi3Variability.fixed if is_parameter else Fmi3Variability.continuous,
-                description=f"{channel['name']} [{channel['unit']}]",
+                description=f"{channel['name']} [{channel['unit']}]".removesuffix(" []"),
                 getter=lambda: float(kept[at]),
                 setter=partial(kept.__setitem__, at),
             )

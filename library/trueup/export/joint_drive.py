@@ -19,16 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.collect.ensemble import Ensemble
-from trueup.diagnose.summary_text import composition, sentence
 from trueup.episode.layout import Field
 from trueup.errors import NotExportable
+from trueup.export.provenance import Provenance
 from trueup.model.block import joint, kind
 from trueup.model.corrected import Corrected
 from trueup.model.dynamics import CompiledFamily, CompiledTree, Dynamics
 from trueup.model.effect import effects
 from trueup.model.mjcf_patch import Left
 from trueup.model.plant import Plant
-from trueup.model.predictor import Physical, Predictor
+from trueup.model.predictor import Predictor
 from trueup.model.simulator.dynamics import SimulatedDynamics
 from trueup.model.tree import (
     ARMATURE,
@@ -131,9 +131,8 @@ def drives_of(
 ) -> Drives:
     """The drives of a predictor; with the report of its diagnosis, their intervals. `inertia`
     [kg m^2, or kg] is that of the one joint of a family. Raises NotExportable."""
-    if isinstance(predictor, Physical):
-        predictor = Corrected.of_numbers(predictor.plant, predictor.parameters)
-    if not isinstance(predictor, Corrected):
+    model = Corrected.form_of(predictor)
+    if model is None:
         raise NotExportable(
             f"a predictor of the kind {predictor.kind!r} is no machine with drives",
             hint="Export a version that a diagnosis or an identification made.",
@@ -142,35 +141,34 @@ def drives_of(
         raise NotExportable(
             f"an inertia is above 0, this is {inertia:g}", hint="Give kg m^2, or kg."
         )
-    plant = predictor.plant
+    plant = model.plant
     reader = _reader(plant.dynamics, plant, inertia)
-    centre = np.array(predictor.values, float)
-    numbers = _numbers(reader, predictor, centre)
+    centre = np.array(model.values, float)
+    numbers = _numbers(reader, model, centre)
     variance = {key: np.zeros(len(NUMBERS)) for key in numbers}
     if report is not None:
-        known = Ensemble.posterior(predictor, report)
+        known = Ensemble.posterior(model, report)
         for row, spread in zip(known.rows, known.spread, strict=True):
             ahead, behind = centre.copy(), centre.copy()
             ahead[row] += NUDGE * spread
             behind[row] -= NUDGE * spread
-            up, down = (_numbers(reader, predictor, v) for v in (ahead, behind))
+            up, down = (_numbers(reader, model, v) for v in (ahead, behind))
             for key in numbers:
                 known_both = np.isfinite(up[key]) & np.isfinite(down[key])
                 step = np.where(known_both, up[key], 0.0) - np.where(known_both, down[key], 0.0)
                 variance[key] += (step / (2.0 * NUDGE)) ** 2
+    provenance = None if report is None else Provenance.of(report)
     return Drives(
         plant,
         digest,
-        None if report is None else sentence(report),
-        ()
-        if report is None
-        else tuple(composition(other) for other in report["indistinguishable"]),
+        provenance.answer if provenance else None,
+        provenance.alternatives if provenance else (),
         tuple(_drive(plant, j, numbers[j], np.sqrt(variance[j])) for j in numbers),
-        tuple(_left(predictor)),
+        tuple(_left(model)),
         inertia,
         (inertia or 1.0) * float(centre[0]) if plant.family == "pendulum" else 0.0,
         _tied(report),
-        _beside(plant.dynamics, predictor),
+        _beside(plant.dynamics, model),
     )
 
 

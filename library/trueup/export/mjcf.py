@@ -15,20 +15,19 @@ from trueup.model.mjcf import compile_file
 from trueup.model.mjcf_family import mjcf_of_joint
 from trueup.model.mjcf_patch import patch
 from trueup.model.mjcf_writer import Written, write
-from trueup.model.predictor import Physical, Predictor
+from trueup.model.predictor import Predictor
 
 
 def written(predictor: Predictor, source: Path | None, heading: Sequence[str]) -> Written:
     """A predictor as MJCF, `heading` as its comment; a robot's into `source`, the file that it was
     declared by. Raises NotExportable, NotInstalled without MuJoCo."""
-    if isinstance(predictor, Physical):
-        predictor = Corrected.of_numbers(predictor.plant, predictor.parameters)
-    if not isinstance(predictor, Corrected):
+    model = Corrected.form_of(predictor)
+    if model is None:
         raise NotExportable(
             f"a predictor of the kind {predictor.kind!r} is no machine that MJCF can describe",
             hint="Write it as ONNX.",
         )
-    return _written(predictor.plant.dynamics, predictor, source, heading)
+    return _written(model.plant.dynamics, model, source, heading)
 
 
 @singledispatch

@@ -26,7 +26,7 @@ from trueup.model.hypothesis import Hypothesis, switches
 from trueup.model.joint_effects import Acting, JointEffects
 from trueup.model.joint_step import JointStep
 from trueup.model.plant import Plant
-from trueup.model.predictor import Predictor
+from trueup.model.predictor import Physical, Predictor
 from trueup.model.roll import roll, roll_each
 from trueup.model.series import (
     DECLARED,
@@ -72,6 +72,13 @@ class Corrected(Predictor):
         values = plant.block.nulls.copy()
         values[: len(parameters)] = parameters
         return Corrected(plant, Hypothesis(), tuple(float(x) for x in values), DECLARED)
+
+    @staticmethod
+    def form_of(predictor: Predictor) -> Corrected | None:
+        """A predictor as numbers and effects; None of one that is none."""
+        if isinstance(predictor, Physical):
+            return Corrected.of_numbers(predictor.plant, predictor.parameters)
+        return predictor if isinstance(predictor, Corrected) else None
 
     @cached_property
     def stepping(self) -> Stepping:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from trueup.canonical import Json
-from trueup.model.mjcf_patch import BRISTLES, COGGING, STRIBECK, Patch
+from trueup.model.mjcf_patch import BRISTLES, COGGING, Patch
 from trueup.model.xml_tags import Tag, spaced, start_tag
 
 KEPT = ("name", "group", "user")  # attributes of an actuator that say nothing of its force
@@ -28,7 +28,7 @@ HARD = "0.9999 0.9999"  # impedance of a constraint that hardly gives
 # times the samples that a delay's history needs: whoever simulates it on finer steps needs more
 SPARE = 8
 NEXT_TO_NOTHING = 1e-9  # kg, kg m^2: of a body whose inertia is its joint's armature
-# beside a force that ends: bristles whose force vanishes in motion are divided by it
+# of the force at rest: what bristles still hold in fast motion, for MuJoCo divides by it
 LEAST_FORCE = 1e-6
 UNIT = {"motorconst": "1", "resistance": "1"}  # what a commanded torque does not depend on
 PASSIVE = {"input": "none", "motorconst": "0", "resistance": "1"}
@@ -281,16 +281,20 @@ class Drive:
 
     def _passive(self, what: str, numbers: Json) -> str:
         """A passive force of the joint: cogging, or friction by bristles."""
-        one, force, third = (float(x) for x in numbers)  # type: ignore[arg-type, union-attr]
-        if what == COGGING:  # torque and turns of a gear, by which any pitch is one pole
-            gear = 2.0 * np.pi / force
-            how = {"gear": spaced(gear), "cogging": spaced(one / gear, 1.0, third)}
+        given = [float(x) for x in numbers]  # type: ignore[arg-type, union-attr]
+        if what == COGGING:  # a gear turns once a pitch, so that any pitch is one pole
+            force, pitch, phase = given
+            gear = 2.0 * np.pi / pitch
+            kind = "cogging"
+            how = {"gear": spaced(gear), "cogging": spaced(force / gear, 1.0, phase)}
         elif what == BRISTLES:
-            how = {"lugre": spaced(one, 0.0, force, force, 1.0)}
+            stiffness, force, _ = given
+            kind, how = "hysteresis", {"lugre": spaced(stiffness, 0.0, force, force, 1.0)}
         else:
-            how = {"lugre": spaced(one, 0.0, LEAST_FORCE * force, force, third)}
-        kinds = {COGGING: "cogging", BRISTLES: "hysteresis", STRIBECK: "friction near rest"}
-        name = f"{kinds[what]} of {self.name}"
+            stiffness, force, speed = given
+            kind = "friction near rest"
+            how = {"lugre": spaced(stiffness, 0.0, LEAST_FORCE * force, force, speed)}
+        name = f"{kind} of {self.name}"
         return start_tag("dcmotor", {"name": name, "joint": self.name, **PASSIVE, **how}, True)
 
     def _delay(self, given: Mapping[str, Json]) -> dict[str, str]:

@@ -30,7 +30,7 @@ from trueup.model.predictor import (
     Predictor,
     Residual,
 )
-from trueup.model.stepping import Columns, Stepping
+from trueup.model.stepping import Columns
 
 State = Mapping[str, Any]  # by name
 POSITION, VELOCITY, TIME = "position", "velocity", "time"
@@ -127,7 +127,7 @@ class StepFunction:
             for k in range(1, len(self.shares[0][j])):
                 state[f"command {k} before{label}"] = u[j] if known else 0.0 * u[j]
         for j, label in enumerate(self.labels):
-            for k in range(1, self._kept(j) + 1):
+            for k in range(1, self._kept[j] + 1):
                 state[f"position {k} before{label}"] = q[j] - k * period * v[j]
                 state[f"velocity {k} before{label}"] = v[j]
         return state | ({TIME: 0.0 * u[0]} if self._asks_time else {})
@@ -144,7 +144,10 @@ class StepFunction:
             [u, *self._past("command", j, len(self.shares[0][j]), state)]
             for j, u in enumerate(self._held(commands, q))
         ]
-        memory = self._memories(stepping, state)
+        memory = [
+            {key: state[f"{key}{label}"] for key in keys}
+            for label, keys in zip(self.labels, self._remembered, strict=True)
+        ]
         shown = []
         for j in joints:
             *seen, memory[j] = stepping.effects[j].shown(
@@ -179,32 +182,35 @@ class StepFunction:
         names = [*self._all(POSITION), *self._all(VELOCITY)]
         return dict(zip(names, [*q, *v], strict=True))
 
-    def _memories(self, stepping: Stepping, state: State) -> list[dict[str, Any]]:
-        """What is remembered of each joint, of a state."""
+    @cached_property
+    def _remembered(self) -> list[list[str]]:
+        """Names of what is remembered of each joint."""
+        assert self.physics is not None
         nothing = [0.0] * len(self.labels)
-        return [
-            {key: state[f"{key}{label}"] for key in keys}
-            for label, keys in zip(self.labels, stepping.begin(nothing, nothing), strict=True)
-        ]
+        return [list(keys) for keys in self.physics.stepping.begin(nothing, nothing)]
 
     def _past(self, what: str, j: int, count: int, state: State) -> list[Any]:
         """A joint's values 1 to `count` - 1 samples before."""
         return [state[f"{what} {k} before{self.labels[j]}"] for k in range(1, count)]
 
-    def _sensor_late_s(self, j: int) -> float:
-        """By how much a joint's sensor is late [s]."""
+    @cached_property
+    def _sensors_late_s(self) -> list[float]:
+        """By how much each joint's sensor is late [s]."""
         assert self.physics is not None
         stepping = self.physics.stepping
-        return stepping.effects[j].late_s(Port.OBSERVATION) if stepping.sensor_is_late else 0.0
+        if not stepping.sensor_is_late:
+            return [0.0] * len(stepping.effects)
+        return [effects.late_s(Port.OBSERVATION) for effects in stepping.effects]
 
-    def _kept(self, j: int) -> int:
-        """How many older samples of a joint's motion its sensor has still to show."""
-        late = self._sensor_late_s(j)
-        return floor(late / self.plant.timestep_s + TINY) + 1 if late > 0.0 else 0
+    @cached_property
+    def _kept(self) -> list[int]:
+        """How many older samples of each joint's motion its sensor has still to show."""
+        period = self.plant.timestep_s
+        return [floor(s / period + TINY) + 1 if s > 0.0 else 0 for s in self._sensors_late_s]
 
     def _seen(self, j: int, q: Any, v: Any, state: State) -> tuple[Any, Any]:
         """Where a late sensor saw a joint, by a cubic through two samples."""
-        kept, span = self._kept(j), self.plant.timestep_s
+        kept, span = self._kept[j], self.plant.timestep_s
         if not kept:
             return q, v
         moved = [
@@ -212,17 +218,18 @@ class StepFunction:
             for what, x in zip(STATES, (q, v), strict=True)
         ]
         (q1, q0), (v1, v0) = (values[-2:] for values in moved)
-        x = kept - self._sensor_late_s(j) / span
+        x = kept - self._sensors_late_s[j] / span
         rest = (1.0 - x) * span * v0 - x * span * v1 + (1.0 - 2.0 * x) * (q0 - q1)
         return (1.0 - x) * q0 + x * q1 + x * (1.0 - x) * rest, (1.0 - x) * v0 + x * v1
 
     def _older(self, j: int, q: Any, v: Any, state: State) -> dict[str, Any]:
         """The motion that a late sensor has still to show, a sample later."""
         older: dict[str, Any] = {}
-        for what, newest in zip(STATES, (q, v), strict=True):
-            values = [newest, *self._past(what, j, self._kept(j), state)]
-            older |= {f"{what} {k} before{self.labels[j]}": x for k, x in enumerate(values, 1)}
-        return older if self._kept(j) else {}
+        if self._kept[j]:
+            for what, newest in zip(STATES, (q, v), strict=True):
+                values = [newest, *self._past(what, j, self._kept[j], state)]
+                older |= {f"{what} {k} before{self.labels[j]}": x for k, x in enumerate(values, 1)}
+        return older
 
     def _held(self, commands: Columns, q: Columns) -> list[Any]:
         """What each joint gets of commands, within their limits; 0 where it has none."""

@@ -11,7 +11,6 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trueup import __version__
 from trueup.artifact.artifact import Artifact
 from trueup.artifact.model import Model, save
 from trueup.canonical import Json
@@ -19,8 +18,8 @@ from trueup.diagnose import diagnosis as engine
 from trueup.diagnose.figures import figures
 from trueup.diagnose.summary_text import composition, sentence
 from trueup.diagnose.summary_warnings import warnings
-from trueup.export.targets import Asked, export
 from trueup.notebook.case import Case
+from trueup.notebook.conversion import convert
 from trueup.notebook.html import diagnosis_html
 
 if TYPE_CHECKING:
@@ -176,25 +175,18 @@ class Diagnosis:
         asset: str | PathLike[str] | None = None,
         mjcf: str | PathLike[str] | None = None,
     ) -> tuple[str, ...]:
-        """Write the corrected model for another program, with the intervals of its numbers.
-
-        `target` is isaaclab, mjlab, ros2_control, usd, randomisation, onnx, fmu or mjcf; the ends
-        .usda, .onnx, .fmu and .xml tell it by themselves. `step_s` [s] is the physics step of the
-        target, `inertia` [kg m^2, or kg] that of a single joint, `asset` the USD file over which a
-        layer lies, `mjcf` the file that a robot was declared by. Returns in words what the target
-        cannot hold. Raises NotExportable.
-        """
-        asked = Asked(
-            self.engine.predictor,
-            self.artifact.digest,
-            __version__,
-            self.report,
-            step_s,
-            inertia,
-            None if asset is None else Path(asset),
-            None if mjcf is None else Path(mjcf),
+        """Write the corrected model for another program, as `convert` does, with the intervals of
+        its numbers. Raises NotExportable."""
+        return convert(
+            self.model,
+            to,
+            target,
+            step_s=step_s,
+            inertia=inertia,
+            asset=asset,
+            mjcf=mjcf,
+            report=self.report,
         )
-        return tuple(map(str, export(asked, target, Path(to))))
 
     def save(self, folder: str | PathLike[str]) -> Path:
         """Write report.json and the corrected model to a folder, as `trueup diagnose` does."""
