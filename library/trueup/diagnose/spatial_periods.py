@@ -200,8 +200,11 @@ def _own_terms_of_family(
 def _own_terms_of_simulator(
     dynamics: SimulatedDynamics, plant: Plant, joint: int, motion: Motion
 ) -> tuple[Array, Array]:
+    """Of several joints both are forces in units of the joint's inertia: only there does a force at
+    a joint show at that joint alone."""
     q, v, a, u = motion
     numbers, states = np.array(plant.parameters), np.column_stack([q, v])
     slopes = dynamics.slopes(numbers, states, u)
-    own = dynamics.acceleration(numbers, q[:, 0], v[:, 0], u[:, 0])
-    return slopes, a[:, 0] - own + slopes @ numbers
+    missing = a - dynamics.acceleration(numbers, states, u) + slopes @ numbers
+    at_joint = dynamics.inertia(numbers, q)[:, joint]
+    return np.einsum("nj,njp->np", at_joint, slopes), np.einsum("nj,nj->n", at_joint, missing)

@@ -207,10 +207,12 @@ def _sides_of_simulator(
     dynamics: SimulatedDynamics, plant: Plant, data: Averages, joint: int
 ) -> tuple[Array, Array, list[str]]:
     """Acceleration, and what the nominal simulator gives of it by the command and without."""
-    q, v, u = data.q[:, joint], data.v[:, joint], data.u[:, joint]
-    numbers = np.array(plant.parameters)
-    passive = dynamics.acceleration(numbers, q, v, np.zeros_like(u))
-    driven = dynamics.acceleration(numbers, q, v, u) - passive
+    numbers, states = np.array(plant.parameters), np.concatenate([data.q, data.v], axis=1)
+    own = dynamics.acceleration(numbers, states, data.u)[:, joint]
+    undriven = data.u.copy()
+    undriven[:, joint] = 0.0
+    passive = dynamics.acceleration(numbers, states, undriven)[:, joint]
+    driven = own - passive
     return data.a[:, joint], np.column_stack([driven, passive]), ["command", "passive"]
 
 

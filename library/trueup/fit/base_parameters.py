@@ -77,7 +77,8 @@ def _of_simulator(
     q, v, _, u = (np.concatenate(m) for m in zip(*moments, strict=True))
     every = -(-len(q) // MOST_ROWS)
     states = np.column_stack([q, v])[::every]
-    design = dynamics.slopes(numbers, states, u[::every]) * size
+    slopes = dynamics.slopes(numbers, states, u[::every])
+    design = slopes.reshape(-1, len(numbers)) * size
     left, alone = design.copy(), list[int]()
     for i in range(len(numbers)):
         length = np.linalg.norm(left[:, i])

@@ -151,19 +151,26 @@ def _identify_simulator(
     progress: Callable[[float], None],
 ) -> tuple[Identified, Identification]:
     """A simulator's numbers, as far as its motion shows them, by Gauss and Newton's method on the
-    mean acceleration over each step."""
+    mean accelerations over each step, each joint's in units of how much it changes."""
     data, ways = transitions(plant, episodes), directions(plant, episodes)
     states, u = data.states, plant.applied(data.issued)
     spans, values = data.sums(data.h_s), np.array(plant.parameters)
-    target = data.sums(data.after[:, 1] - data.states[:, 1]) / spans
+    velocities, each = slice(dynamics.joints, 2 * dynamics.joints), spans[:, None]
+    target = data.sums((data.after - data.states)[:, velocities]) / each
+    scale = np.maximum(target.std(axis=0), 1e-9) if dynamics.joints > 1 else np.ones(1)
     if len(target) <= len(ways.names):
         raise _too_few(len(target), len(ways.names))
     sizes = ways.steps / STEP
     for i in range(GAUSS_NEWTON):
-        slopes = dynamics.slopes(values, states, u)[:, ways.alone]
-        own = dynamics.acceleration(values, states[:, 0], states[:, 1], u[:, 0])
-        design = data.sums(slopes * data.h_s[:, None]) / spans[:, None] * sizes
-        solution = solve(design, target - data.sums(own * data.h_s) / spans, data.span)
+        slopes = dynamics.slopes(values, states, u)[:, :, ways.alone]
+        own = dynamics.acceleration(values, states, u)
+        design = data.sums(slopes * data.h_s[:, None, None]) / each[:, None] * sizes
+        missing = target - data.sums(own * data.h_s[:, None]) / each
+        solution = solve(
+            (design / scale[:, None]).reshape(-1, len(sizes)),
+            (missing / scale).reshape(-1),
+            data.span * dynamics.joints,
+        )
         values[ways.alone] += sizes * solution.values
         progress((i + 1) / GAUSS_NEWTON)
         if np.abs(solution.values).max() < SAME_NUMBERS:

@@ -47,7 +47,7 @@ def _simulator(nominal: Reader) -> tuple[Dynamics, tuple[float, ...]]:
     step, timestep_s = step_at_hand(sha256, name), nominal.number("timestep_s", above=0.0)
     simulator = Simulator(name, step, parameters, timestep_s, tuple(begins)).checked()
     dynamics = SimulatedDynamics(simulator)
-    dynamics.size(tuple(parameters.values()))  # raises where a force is taken and not used
+    dynamics.sizes(tuple(parameters.values()))  # raises where a force is taken and not used
     return dynamics, tuple(parameters.values())
 
 

@@ -48,8 +48,7 @@ def roll_each(
     if form.simulator is not None:
         from trueup.model.simulator.rollout import roll_simulator  # noqa: PLC0415  (seldom needed)
 
-        size = float(form.sizes[0])
-        rolled = roll_simulator(form.simulator, size, form.block, on, asked)
+        rolled = roll_simulator(form.simulator, form.sizes, form.block, on, asked)
         return [then(i, out) for i, out in enumerate(rolled)]
 
     def one(i: int) -> T:

@@ -198,7 +198,7 @@ def test_hidden_states_run_through(own):
 
 def test_a_part_of_a_step_is_taken_in_proportion():
     simulator = plant_of(without_force).form.simulator
-    state, u = np.array([[0.3, 0.0]]), np.array([1.0])
+    state, u = np.array([[0.3, 0.0]]), np.array([[1.0]])
     lanes = {name: np.array([x]) for name, x in PARAMETERS.items()}
     whole = simulator.moved(state, u, lanes) - state
     half = simulator.moved(state, u, lanes, np.array([PERIOD_S / 2.0])) - state

@@ -1,4 +1,4 @@
-"""The dynamics of a simulator of the user's own: one joint, in numpy."""
+"""The dynamics of a simulator of the user's own, in numpy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from trueup.errors import BadSimulator
 from trueup.model.block import Block
 from trueup.model.dynamics import Dynamics, Form
-from trueup.model.simulator.simulator import MOTION, Simulator
+from trueup.model.simulator.simulator import Simulator
 from trueup.model.tree import TREE
 
 Array = NDArray[np.float64]
@@ -22,11 +22,14 @@ SLOPE = 1e-4  # of a parameter, or 1: the finite difference of an acceleration
 
 @dataclass(frozen=True)
 class SimulatedDynamics(Dynamics):
-    """One joint that a user's step function moves."""
+    """Joints that a user's step function moves."""
 
     simulator: Simulator
     name = "simulator"
-    joints = 1
+
+    @property
+    def joints(self) -> int:  # type: ignore[override]
+        return self.simulator.joints
 
     @property
     def parameter_names(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -41,7 +44,7 @@ class SimulatedDynamics(Dynamics):
         hidden = np.tile(np.array(self.simulator.begins), (len(state), 1))
         span = np.broadcast_to(np.asarray(h_s, float), len(state))
         with_hidden = np.concatenate([state, hidden], axis=1)
-        return self._moved(with_hidden, applied[:, 0], parameters, span)[:, :MOTION]
+        return self._moved(with_hidden, applied, parameters, span)[:, : self.simulator.motion]
 
     def rollout(
         self,
@@ -52,15 +55,17 @@ class SimulatedDynamics(Dynamics):
         steps: NDArray[np.int64],
     ) -> Array:
         vectors, (windows, samples) = len(parameters), applied.shape[:2]
-        out = np.empty((vectors, windows, samples, MOTION))
+        motion = self.simulator.motion
+        out = np.empty((vectors, windows, samples, motion))
         numbers = np.repeat(parameters.T, windows, axis=1)
         hidden = np.tile(np.array(self.simulator.begins), (vectors * windows, 1))
         now = np.concatenate([np.tile(initial, (vectors, 1)), hidden], axis=1)
         for i in range(samples):
-            out[:, :, i] = now[:, :MOTION].reshape(vectors, windows, MOTION)
+            out[:, :, i] = now[:, :motion].reshape(vectors, windows, motion)
             for step in range(int(steps[:, i].max(initial=0)) if i + 1 < samples else 0):
                 runs = np.flatnonzero(np.tile(steps[:, i] > step, vectors))
-                u, span = (np.tile(x[:, i], vectors)[runs] for x in (applied[:, :, 0], h_s))
+                u = np.tile(applied[:, i], (vectors, 1))[runs]
+                span = np.tile(h_s[:, i], vectors)[runs]
                 with np.errstate(over="ignore", invalid="ignore"):  # running away is an answer
                     now[runs] = self._moved(now[runs], u, numbers[:, runs], span)
         return out
@@ -74,47 +79,51 @@ class SimulatedDynamics(Dynamics):
             0, :, 1:
         ]
 
-    def acceleration(self, parameters: Array, q: Array, v: Array, u: Array) -> Array:
-        """The mean acceleration `(n,)` over a step from positions, velocities and commands
-        `(n,)`."""
-        h_s = self.simulator.timestep_s
-        states = np.stack([q, v], axis=1)
-        return np.asarray((self.step(states, u[:, None], parameters, h_s)[:, 1] - v) / h_s)
+    def acceleration(self, parameters: Array, states: Array, applied: Array) -> Array:
+        """The mean accelerations `(n, joints)` over a step from states `(n, 2 x joints)` under
+        commands `(n, joints)`."""
+        velocities, h_s = slice(self.joints, 2 * self.joints), self.simulator.timestep_s
+        after = self.step(states, applied, parameters, h_s)
+        return np.asarray((after - states)[:, velocities] / h_s)
 
     def drive(self, parameters: Sequence[float], joint: int, q: Array, applied: Array) -> Array:
-        numbers, zero = np.array(parameters), np.zeros(len(q))
-        driven = self.acceleration(numbers, q, zero, applied)
-        return driven - self.acceleration(numbers, q, zero, zero)
+        numbers, states = np.array(parameters), np.zeros((len(q), 2 * self.joints))
+        states[:, joint] = q
+        command = np.zeros((len(q), self.joints))
+        idle = self.acceleration(numbers, states, command)
+        command[:, joint] = applied
+        return np.asarray((self.acceleration(numbers, states, command) - idle)[:, joint])
 
     def neutral(self, parameters: Sequence[float], joint: int, q: Array) -> Array:
         return np.zeros(len(q))
 
     def inertia(self, parameters: Array, q: Array) -> Array:
-        return np.ones((len(q), 1, 1))
+        if self.joints == 1 or not self.takes_force:
+            return np.tile(np.eye(self.joints), (len(q), 1, 1))
+        return np.asarray(self._mass(parameters, q) / self.form.sizes[None, :, None])
 
-    def own_regressors(self, states: Array, applied: Array) -> Array:
+    def own_regressors(self, states: Array, applied: Array) -> Array | None:
         """How the acceleration changes with each parameter, near the nominal ones."""
+        if self.joints > 1:
+            return None
         numbers = np.array(list(self.simulator.parameters.values()))
-        return self.slopes(numbers, states, applied)
+        return self.slopes(numbers, states, applied)[:, 0]
 
     def slopes(self, numbers: Array, states: Array, applied: Array) -> Array:
-        """How the acceleration changes with each of some parameters, `(n, parameters)`."""
+        """How the accelerations change with each of some parameters, `(n, joints, parameters)`."""
         columns = []
         for i, value in enumerate(numbers):
             by = SLOPE * (abs(value) or 1.0)
             ends = [
-                self.acceleration(
-                    numbers + sign * by * np.eye(len(numbers))[i],
-                    states[:, 0],
-                    states[:, 1],
-                    applied[:, 0],
-                )
+                self.acceleration(numbers + sign * by * np.eye(len(numbers))[i], states, applied)
                 for sign in (1.0, -1.0)
             ]
             columns.append((ends[0] - ends[1]) / (2.0 * by))
-        return np.stack(columns, axis=1)
+        return np.stack(columns, axis=2)
 
-    has_own_numbers = True
+    @property
+    def has_own_numbers(self) -> bool:
+        return self.joints == 1
 
     def without_dry_friction(self, parameters: Array) -> Array:
         return parameters
@@ -122,33 +131,50 @@ class SimulatedDynamics(Dynamics):
     @cached_property
     def form(self) -> Form:  # type: ignore[override]
         return Form(
-            Block(len(self.simulator.parameters)),
+            Block(len(self.simulator.parameters), self.joints),
             NO_FORM,
-            np.zeros((1, TREE)),
-            np.array([self.size(list(self.simulator.parameters.values()))]),
+            np.zeros((self.joints, TREE)),
+            self.sizes(list(self.simulator.parameters.values())),
             self.simulator,
         )
 
-    def size(self, parameters: Sequence[float]) -> float:
-        """The force that gives the joint at rest, with some parameters, a unit of acceleration; 1
-        where it takes none. Raises BadSimulator."""
+    def sizes(self, parameters: Sequence[float]) -> Array:
+        """The force that gives each joint at rest, with some parameters and with nothing else in
+        its way, a unit of acceleration, `(joints,)`; 1 where the simulator takes none. Raises
+        BadSimulator."""
+        if not self.simulator.takes_force:
+            return np.ones(self.joints)
+        mass = self._mass(np.array(parameters, float), np.zeros((1, self.joints)))[0]
+        return np.diag(mass).copy()
+
+    def _mass(self, parameters: Array, q: Array) -> Array:
+        """The mass matrices at rest at positions `(n, joints)`, `(n, joints, joints)`. Raises
+        BadSimulator where a force does not move its joint its way."""
         simulator = self.simulator
-        if not simulator.takes_force:
-            return 1.0
-        state = np.array([[0.0, 0.0, *simulator.begins]])
+        states = np.concatenate(
+            [q, np.zeros_like(q), np.tile(np.array(simulator.begins), (len(q), 1))], axis=1
+        )
         given = zip(simulator.parameters, parameters, strict=True)
-        lanes = {name: np.array([float(x)]) for name, x in given}
-        after = [
-            simulator.moved(state, np.zeros(1), lanes, None, np.array([force]))[0, 1]
-            for force in (0.0, 1.0)
-        ]
-        mobility = (after[1] - after[0]) / simulator.timestep_s
-        if not mobility > 0.0:
+        lanes = {name: np.full(len(q), float(x)) for name, x in given}
+        velocities = slice(self.joints, 2 * self.joints)
+        free, *pushed = (
+            simulator.moved(states, np.zeros_like(q), lanes, None, np.tile(force, (len(q), 1)))
+            for force in (np.zeros(self.joints), *np.eye(self.joints))
+        )
+        gained = np.stack([(after - free)[:, velocities] for after in pushed], axis=2)
+        mobility = gained / simulator.timestep_s
+        if not (np.einsum("njj->nj", mobility) > 0.0).all():
             raise BadSimulator(
                 f"{simulator.name} takes a force that does not move the joint its way",
-                hint="Add `force` where the simulator adds the forces of its drive.",
+                hint="Add `force` where the simulator adds the forces of its drives.",
             )
-        return float(1.0 / mobility)
+        try:
+            return np.asarray(np.linalg.inv(mobility))
+        except np.linalg.LinAlgError as error:
+            raise BadSimulator(
+                f"{simulator.name} takes forces that move two joints as one",
+                hint="Each column of `force` acts at a joint of its own.",
+            ) from error
 
     def _moved(self, state: Array, u: Array, parameters: Array, h_s: Array) -> Array:
         simulator = self.simulator

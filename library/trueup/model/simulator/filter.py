@@ -2,32 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trueup.model.simulator.run import Run
-from trueup.model.simulator.simulator import MOTION
+from trueup.model.simulator.sensors import Followed, seen_late
 from trueup.model.simulator.step import Memory, SimulatedStep
 from trueup.model.simulator.timeline import Acting
 
 Array = NDArray[np.float64]
-FORCE = 2  # the row of a gain that corrects a disturbing acceleration
+# rows of a gain: what corrects a velocity, a disturbing acceleration, and what hides the velocity
+VELOCITY, FORCE, HIDDEN = 1, 2, 3
 FIRST = slice(1)  # of a run's lanes: the filter's
-HIDDEN = 3  # the row that corrects what hides the velocity
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Followed:
-    """An episode as the filter follows it: its `states` `(samples, states)` and what effects
-    remember `(samples,)`, once corrected; what it had `shown` before, `(samples, 2)`."""
-
-    states: Array
-    memory: Mapping[tuple[str, str], Array]
-    shown: Array
 
 
 def filtered(runs: Sequence[Run], begun: Sequence[tuple[Array, Memory]]) -> list[Followed]:
@@ -57,32 +46,39 @@ class _Filters:
             Acting.side_by_side([x.at(FIRST) for x in each])
             for each in zip(*(r.sensors for r in runs), strict=True)
         ]
-        commands = np.array([r.series.issued[0, 0] for r in runs])
+        commands = np.array([r.series.issued[0] for r in runs])
         for one in self.sensors:
-            self.memory |= one.begin(commands, len(runs))
-        self.push = np.zeros(len(runs))
+            self.memory |= one.begin(commands[:, one.joint], len(runs))
+        self.joints, self.motion = self.step.simulator.joints, self.step.simulator.motion
+        self.push = np.zeros((len(runs), self.joints))
+        self.late_s = np.stack([r.late_s[:, 0] for r in runs])
+        self.passed = np.zeros((int(self.samples[0]), len(runs), self.motion))
 
     def run(self) -> list[Followed]:
         """Follow all episodes to their ends."""
         total = int(self.samples[0])
         states = np.zeros((total, *self.state.shape))
-        seen = np.zeros((total, len(self.runs), MOTION))
+        seen = np.zeros((total, len(self.runs), self.motion))
         kept = {key: np.zeros((total, len(self.runs))) for key in self.memory}
         times = np.zeros((total, len(self.runs)))
-        observed, usable = (np.zeros((total, len(self.runs), MOTION)) for _ in range(2))
-        gains = np.zeros((total, len(self.runs), 4, 2))
+        observed, usable = (np.zeros((total, len(self.runs), self.motion)) for _ in range(2))
+        gains = np.zeros((total, len(self.runs), self.joints, 4, 2))
         for r, run in enumerate(self.runs):
             n, gain = self.samples[r], run.gain
             assert gain is not None
             times[:n, r], observed[:n, r] = run.series.t_s, run.series.observed
             usable[:n, r] = run.series.usable
-            gains[:n, r] = gain[np.minimum(np.arange(n), len(gain) - 1), 0]
-        gains *= usable[:, :, None, :]
+            gains[:n, r] = gain[np.minimum(np.arange(n), len(gain) - 1)]
+        by_joint = usable.reshape(total, len(self.runs), 2, self.joints)
+        gains *= by_joint.swapaxes(2, 3)[:, :, :, None, :]
         for i in range(total):
             many = int(np.searchsorted(-self.samples, -i, side="left"))
             if many < len(self.push):
                 self._only(slice(many))
-            shown = self._observed(times[i, :many], times[i, :many] - times[max(i - 1, 0), :many])
+            self.passed[i, :many] = self.state[:, : self.motion]
+            shown = self._observed(
+                i, times[i, :many], times[i, :many] - times[max(i - 1, 0), :many]
+            )
             seen[i, :many] = shown
             self._correct(i, observed[i, :many] - shown, gains[i, :many], usable[i, :many])
             states[i, :many] = self.state
@@ -93,6 +89,7 @@ class _Filters:
             Followed(
                 states[:n, r],
                 {key: value[:n, r] for key, value in kept.items()},
+                self.passed[:n, r],
                 seen[:n, r],
             )
             for r, n in enumerate(self.samples)
@@ -104,38 +101,43 @@ class _Filters:
         self.step = self.step.at(lanes)
         self.sensors = [one.at(lanes) for one in self.sensors]
 
-    def _observed(self, t_s: Array, since: Array) -> Array:
-        """What the sensors show now, `(lanes, 2)`."""
-        signals: dict[str, Any] = {
-            "q": self.state[:, 0],
-            "v": self.state[:, 1],
-            "t": t_s,
-            "since": since,
-            "period": self.step.period_s,
-            "u_scale": self.step.u_scale,
-        }
+    def _observed(self, i: int, t_s: Array, since: Array) -> Array:
+        """What the sensors show now, `(lanes, 2 x joints)`."""
+        seen = self.state[:, : self.motion].copy()
+        for r, j in zip(*np.nonzero(self.late_s[: len(seen)] > 0.0), strict=True):
+            at, track = np.array([i]), self.passed[:, r, [j, self.joints + j]]
+            late_s = self.late_s[r, j]
+            when = self.runs[r].series.t_s
+            seen[r, [j, self.joints + j]] = seen_late(when, at, late_s, lambda k: track[k].T)[:, 0]  # noqa: B023  (called at once)
         for one in self.sensors:
-            signals["q"], signals["v"], *after = one.value(signals, self.memory)
-            keys = ((one.effect.name, state) for state in one.effect.states)
-            self.memory.update(zip(keys, after, strict=True))
-        return np.stack([signals["q"], signals["v"]], axis=1)
+            signals: dict[str, Any] = {
+                "q": seen[:, one.joint].copy(),
+                "v": seen[:, self.joints + one.joint].copy(),
+                "t": t_s,
+                "since": since,
+                "period": self.step.period_s,
+                "u_scale": float(self.step.u_scale[one.joint]),
+            }
+            q, v, *after = one.value(signals, self.memory)
+            seen[:, one.joint], seen[:, self.joints + one.joint] = q, v
+            self.memory.update(zip(one.keys, after, strict=True))
+        return seen
 
     def _correct(self, i: int, missed: Array, gain: Array, usable: Array) -> None:
-        """Correct by what was missed `(lanes, 2)`; of the log's first sample everything is
+        """Correct by what was missed `(lanes, 2 x joints)`; of the log's first sample everything is
         taken."""
-        if i == 0:
-            self.state = self.state.copy()
-            self.state[:, :MOTION] += np.where(usable > 0.0, missed, 0.0)
-            return
-        by = np.einsum("lkc,lc->lk", gain, missed)
         self.state = self.state.copy()
-        self.state[:, :MOTION] += by[:, :MOTION]
+        if i == 0:
+            self.state[:, : self.motion] += np.where(usable > 0.0, missed, 0.0)
+            return
+        by = np.einsum("ljkc,lcj->lkj", gain, missed.reshape(len(missed), 2, self.joints))
+        self.state[:, : self.motion] += by[:, : VELOCITY + 1].reshape(missed.shape)
         self.push = self.push + by[:, FORCE]
         for one in self.sensors:
             if one.effect.hides_velocity:
-                hidden, before = ((one.effect.name, state) for state in one.effect.states)
-                self.memory[hidden] = self.memory[hidden] + by[:, HIDDEN]
-                self.memory[before] = self.memory[before] + by[:, 1]
+                hidden, before = one.keys
+                self.memory[hidden] = self.memory[hidden] + by[:, HIDDEN, one.joint]
+                self.memory[before] = self.memory[before] + by[:, VELOCITY, one.joint]
 
     def _advance(self, i: int, many: int) -> None:
         """Step on to the next sample."""
@@ -143,12 +145,10 @@ class _Filters:
         for k in range(int((behind - now).max(initial=0))):
             on = np.flatnonzero(now + k < behind)
             lanes: Any = slice(None) if len(on) == many else on
-            at = [
-                (r.commands[now[j] + k, 0], r.h_s[now[j] + k, 0], r.timeline.begins_s[now[j] + k])
-                for j, r in enumerate(self.runs[:many])
-                if now[j] + k < behind[j]
-            ]
-            u, h_s, t_s = np.array(at).T
+            steps = [(self.runs[j], now[j] + k) for j in on]
+            u = np.array([r.commands[i, :, 0] for r, i in steps])
+            h_s = np.array([r.h_s[i, 0] for r, i in steps])
+            t_s = np.array([r.timeline.begins_s[i] for r, i in steps])
             step = self.step if len(on) == many else self.step.at(lanes)
             memory = {key: value[lanes] for key, value in self.memory.items()}
             after, memory = step.advance(self.state[lanes], u, h_s, t_s, memory, self.push[lanes])

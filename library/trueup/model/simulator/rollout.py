@@ -25,24 +25,24 @@ from trueup.model.series import RolloutOf
 from trueup.model.simulator.filter import filtered
 from trueup.model.simulator.run import Run
 from trueup.model.simulator.sensors import followed, shown
-from trueup.model.simulator.simulator import MOTION, Simulator
+from trueup.model.simulator.simulator import Simulator
 from trueup.model.simulator.step import Memory, SimulatedStep
-from trueup.model.simulator.timeline import Timeline, acting_at, commanded
+from trueup.model.simulator.timeline import Timeline, acting_at, commanded, sensor_is_late
 
 Array = NDArray[np.float64]
 
 
 def roll_simulator(
     simulator: Simulator,
-    size: float,
+    sizes: Array,
     block: Block,
     on: NDArray[np.uint8],
     asked: Sequence[RolloutOf],
 ) -> list[Array]:
-    """What is observed in each series, `(samples, 2, lanes)`, of one hypothesis."""
+    """What is observed in each series, `(samples, 2 x joints, lanes)`, of one hypothesis."""
     lanes, kept = _distinct(asked)
     with np.errstate(all="ignore"):  # running away is an answer: it ends as inf or nan
-        runs = [_run(simulator, size, block, on, one, kept) for one in asked]
+        runs = [_run(simulator, sizes, block, on, one, kept) for one in asked]
         out = _filtered(runs) if asked[0].gain is not None else _remembered(runs)
     return [one[:, :, lanes] for one in out]
 
@@ -65,7 +65,7 @@ def _distinct(asked: Sequence[RolloutOf]) -> tuple[NDArray[np.int64], NDArray[np
 
 def _run(
     simulator: Simulator,
-    size: float,
+    sizes: Array,
     block: Block,
     on: NDArray[np.uint8],
     one: RolloutOf,
@@ -80,9 +80,9 @@ def _run(
         {name: p[i] for i, name in enumerate(simulator.parameters)},
         by_port[Port.FORCE],
         by_port[Port.FRICTION],
-        size,
+        sizes,
         s.scheme.alpha,
-        float(s.u_scale[0]),
+        s.u_scale,
         s.period_s,
         frozenset(
             x
@@ -97,8 +97,12 @@ def _run(
     elif len(timeline.starts) > len(init):  # samples before the first window
         init = np.concatenate([np.zeros((1, *init.shape[1:])), init])
     sensors = [x for x in by_port[Port.OBSERVATION] if not x.effect.delays()]
+    late_s = np.zeros((simulator.joints, len(kept)))
+    for x in acting:
+        if sensor_is_late(x, simulator.joints):
+            late_s[x.joint] = x.value({"lag_s": late_s[x.joint], "period": s.period_s}, {})[0]
     starts = int(np.searchsorted(kept, one.starts, side="right")) - 1
-    return Run(s, timeline, step, sensors, commands, h_s, init, starts, one.gain)
+    return Run(s, timeline, step, sensors, late_s, commands, h_s, init, starts, one.gain)
 
 
 @dataclass(slots=True, eq=False)
@@ -111,7 +115,7 @@ class _Window:
     steps: int
     hidden: Array
     memory: Memory
-    path: Array  # `(steps + 1, lanes, 2)`
+    path: Array  # `(steps + 1, lanes, 2 x joints)`
     after: tuple[Array, Memory] | None = None  # what is hidden at its end
 
 
@@ -127,7 +131,7 @@ def _windows(run: Run) -> list[_Window]:
             int(first[b] - first[a]),
             hidden,
             memory,
-            np.empty((int(first[b] - first[a]) + 1, run.lanes, MOTION)),
+            np.empty((int(first[b] - first[a]) + 1, run.lanes, run.step.simulator.motion)),
         )
         for w, (a, b) in enumerate(bounds)
     ]
@@ -140,10 +144,7 @@ def _remembered(runs: Sequence[Run]) -> list[Array]:
     while todo:
         _roll_side_by_side(todo)
         todo = [w for windows in by_run for w in _began_otherwise(windows)]
-    return [
-        shown(run.series, run.sensors, run.timeline.starts, *_states(run, windows), run.following)
-        for run, windows in zip(runs, by_run, strict=True)
-    ]
+    return [shown(run, *_states(run, windows)) for run, windows in zip(runs, by_run, strict=True)]
 
 
 def _began_otherwise(windows: Sequence[_Window]) -> Iterator[_Window]:
@@ -163,6 +164,8 @@ def _began_otherwise(windows: Sequence[_Window]) -> Iterator[_Window]:
 def _roll_side_by_side(windows: Sequence[_Window]) -> None:
     """Roll out windows, all at once."""
     ordered = sorted(windows, key=lambda w: -w.steps)
+    simulator = ordered[0].run.step.simulator
+    motion = simulator.motion
     lanes, counts = ordered[0].run.lanes, np.array([w.steps for w in ordered])
     state = np.concatenate(
         [np.concatenate([w.run.init[w.number].T, w.hidden], axis=1) for w in ordered]
@@ -171,14 +174,16 @@ def _roll_side_by_side(windows: Sequence[_Window]) -> None:
     memory = {key: np.concatenate([w.memory[key] for w in ordered]) for key in keys}
     step = SimulatedStep.side_by_side([w.run.step for w in ordered])
     longest = int(counts[0])
-    u, h_s, t_s = (np.zeros((longest, len(ordered), lanes)) for _ in range(3))
+    u = np.zeros((longest, len(ordered), lanes, simulator.joints))
+    h_s, t_s = (np.zeros((longest, len(ordered), lanes)) for _ in range(2))
     for i, w in enumerate(ordered):
         part = slice(w.first, w.first + w.steps)
-        u[: w.steps, i], h_s[: w.steps, i] = w.run.commands[part], w.run.h_s[part]
+        u[: w.steps, i] = w.run.commands[part].transpose(0, 2, 1)
+        h_s[: w.steps, i] = w.run.h_s[part]
         t_s[: w.steps, i] = w.run.timeline.begins_s[part, None]
-    by_step = [x.reshape(longest, len(state)) for x in (u, h_s, t_s)]
-    path = np.empty((longest + 1, len(state), MOTION))
-    path[0] = state[:, :MOTION]
+    by_step = [x.reshape(longest, len(state), *x.shape[3:]) for x in (u, h_s, t_s)]
+    path = np.empty((longest + 1, len(state), motion))
+    path[0] = state[:, :motion]
     running = len(ordered)
     for k in range(longest):
         still = int(np.searchsorted(-counts, -k, side="left"))  # windows with more than k steps
@@ -190,9 +195,9 @@ def _roll_side_by_side(windows: Sequence[_Window]) -> None:
         many = running * lanes
         u_now, h_now, t_now = (x[k, :many] for x in by_step)
         state, memory = step.advance(state, u_now, h_now, t_now, memory)
-        path[k + 1, :many] = state[:, :MOTION]
+        path[k + 1, :many] = state[:, :motion]
     _end(ordered[:running], state, memory, 0, lanes)
-    by_window = path.reshape(longest + 1, len(ordered), lanes, MOTION)
+    by_window = path.reshape(longest + 1, len(ordered), lanes, motion)
     for i, w in enumerate(ordered):
         w.path[:] = by_window[: w.steps + 1, i]
 
@@ -205,19 +210,22 @@ def _end(
         part = slice(i * lanes, (i + 1) * lanes)
         behind = slice(at + part.start, at + part.stop)
         w.after = (
-            state[part, MOTION:].copy(),
+            state[part, w.run.step.simulator.motion :].copy(),
             {key: x[behind].copy() for key, x in memory.items()},
         )
 
 
 def _states(run: Run, windows: Sequence[_Window]) -> tuple[Array, Array]:
-    """Positions and velocities at each sample `(samples, 2, lanes)`, and the velocities with which
-    the windows before a start ended, `(windows, lanes)`."""
-    states = np.empty((len(run.series.t_s), MOTION, run.lanes))
+    """Positions and velocities at each sample `(samples, 2 x joints, lanes)`, and the velocities
+    with which the windows before a start ended, `(windows, lanes, joints)`."""
+    joints, motion = run.step.simulator.joints, run.step.simulator.motion
+    states = np.empty((len(run.series.t_s), motion, run.lanes))
     for w, a, b in zip(windows, run.timeline.starts, run.ends, strict=True):
         at = run.timeline.first[a : b + 1] - w.first
         states[a : b + 1] = w.path[at].transpose(0, 2, 1)
-    ended = np.stack([np.zeros(run.lanes), *(w.path[-1, :, 1] for w in windows[:-1])])
+    ended = np.stack(
+        [np.zeros((run.lanes, joints)), *(w.path[-1, :, joints:] for w in windows[:-1])]
+    )
     return states, ended
 
 
@@ -226,10 +234,10 @@ def _filtered(runs: Sequence[Run]) -> list[Array]:
     by_run = [_windows(run) for run in runs]
     followed = filtered(runs, [run.begin() for run in runs])
     for windows, follows in zip(by_run, followed, strict=True):
-        run = windows[0].run
+        run, motion = windows[0].run, windows[0].run.step.simulator.motion
         for w, sample in zip(windows, run.timeline.starts, strict=True):
-            run.init[w.number] = follows.states[sample, :MOTION, None]
-            w.hidden = np.tile(follows.states[sample, MOTION:], (run.lanes, 1))
+            run.init[w.number] = follows.states[sample, :motion, None]
+            w.hidden = np.tile(follows.states[sample, motion:], (run.lanes, 1))
             w.memory = {
                 key: np.full(run.lanes, x[sample])
                 for key, x in follows.memory.items()
@@ -239,7 +247,7 @@ def _filtered(runs: Sequence[Run]) -> list[Array]:
     out = []
     for run, windows, follows in zip(runs, by_run, followed, strict=True):
         starts = run.timeline.starts
-        sees = shown(run.series, run.sensors, starts, *_states(run, windows), 0, follows.memory)
+        sees = shown(run, *_states(run, windows), follows)
         sees[starts] = follows.shown[starts, :, None]
         sees[:, :, 0] = follows.shown
         out.append(sees)

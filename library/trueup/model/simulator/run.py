@@ -25,9 +25,10 @@ class Run:
     timeline: Timeline
     step: SimulatedStep
     sensors: Sequence[Acting]
-    commands: Array  # `(steps, lanes)`
+    late_s: Array  # `(joints, lanes)`, by which sensors are late
+    commands: Array  # `(steps, joints, lanes)`
     h_s: Array
-    init: Array  # `(windows, 2, lanes)`
+    init: Array  # `(windows, 2 x joints, lanes)`
     following: int
     gain: Array | None
 
@@ -47,5 +48,5 @@ class Run:
         hidden = np.tile(np.array(self.step.simulator.begins), (lanes, 1))
         memory: Memory = {}
         for one in self.step.forces:
-            memory |= one.begin(self.series.issued[0, 0], lanes)
+            memory |= one.begin(self.series.issued[0, one.joint], lanes)
         return hidden, memory

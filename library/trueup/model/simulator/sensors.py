@@ -2,49 +2,61 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.model.series import Series
+from trueup.model.simulator.run import Run
 from trueup.model.simulator.timeline import Acting
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 
-def shown(
-    s: Series,
-    sensors: Sequence[Acting],
-    starts: NDArray[np.int64],
-    states: Array,
-    ended: Array,
-    following: int,
-    follows: Mapping[Any, Array] | None = None,
-) -> Array:
-    """Positions and velocities as they are observed, `(samples, 2, lanes)`, of the true ones.
+@dataclass(frozen=True, slots=True, eq=False)
+class Followed:
+    """An episode as the filter follows it: its `states` `(samples, states)` and what effects
+    remember `(samples,)`, once corrected; where it had `passed`, before, and what it had `shown`,
+    `(samples, 2 x joints)` each."""
 
-    What a sensor remembers at the `starts` of windows runs through, with the velocity set from the
-    one with which the last window `ended` `(windows, lanes)`, and so many lanes behind the first
-    are `following` it; or it is what a filter has there `(samples,)`.
+    states: Array
+    memory: Mapping[tuple[str, str], Array]
+    passed: Array
+    shown: Array
+
+
+def shown(run: Run, states: Array, ended: Array, follows: Followed | None = None) -> Array:
+    """Positions and velocities as they are observed, `(samples, 2 x joints, lanes)`, of the true
+    ones.
+
+    What a sensor remembers where windows start runs through, with the velocity set from the one
+    with which the last window `ended` `(windows, lanes, joints)`, and the lanes that follow the
+    first remember what it does; or it is what a filter has there.
     """
+    s, joints = run.series, run.step.simulator.joints
     since = np.diff(s.t_s, prepend=s.t_s[0])
     signals: dict[str, Any] = {
-        "q": states[:, 0],
-        "v": states[:, 1],
         "t": s.t_s[:, None],
         "since": since[:, None],
         "period": s.period_s,
-        "u_scale": float(s.u_scale[0]),
     }
-    for one in sensors:
-        if one.effect.states:
-            seen = _in_turn(s, one, signals, starts, states, ended, following, follows)
-        else:
-            seen = tuple(one.value(signals, {}))
-        signals["q"], signals["v"] = (np.broadcast_to(x, states[:, 0].shape) for x in seen)
-    return np.stack([signals["q"], signals["v"]], axis=1)
+    seen = np.empty_like(states)
+    for j in range(joints):
+        now, at = _late(run, j, states, follows), [j, joints + j]
+        signals |= {"q": now[:, 0], "v": now[:, 1], "u_scale": float(s.u_scale[j])}
+        for one in run.sensors:
+            if one.joint != j:
+                continue
+            if one.effect.states:
+                after = _in_turn(run, one, signals, states[:, at], ended[:, :, j], follows)
+            else:
+                after = tuple(one.value(signals, {}))
+            signals["q"], signals["v"] = (np.broadcast_to(x, now[:, 0].shape) for x in after)
+        seen[:, j], seen[:, joints + j] = signals["q"], signals["v"]
+    return seen
 
 
 def followed(hidden: Array, following: int) -> Array:
@@ -56,36 +68,73 @@ def followed(hidden: Array, following: int) -> Array:
     return after
 
 
+def seen_late(t_s: Array, at: Index, late_s: Array, passed: Callable[[Index], Array]) -> Array:
+    """Where a joint was `late_s` before the samples `at`, its position and velocity `(2, …)`, by a
+    cubic through the two samples around, which `passed` gives."""
+    when = t_s[at] - late_s
+    k = np.clip(np.searchsorted(t_s, when, side="right") - 1, 0, np.maximum(at - 1, 0))
+    (q0, v0), (q1, v1) = passed(k), passed(np.minimum(k + 1, at))
+    span = np.where(at > 0, t_s[np.minimum(k + 1, at)] - t_s[k], 1.0)
+    x = (when - t_s[k]) / span
+    rest = (1.0 - x) * span * v0 - x * span * v1 + (1.0 - 2.0 * x) * (q0 - q1)
+    before = (when <= t_s[0]) | (at == 0)
+    q = np.where(before, q0 + (when - t_s[0]) * v0, (1.0 - x) * q0 + x * q1 + x * (1.0 - x) * rest)
+    return np.stack([q, np.where(before, v0, (1.0 - x) * v0 + x * v1)])
+
+
+def _late(run: Run, joint: int, states: Array, follows: Followed | None) -> Array:
+    """A joint's position and velocity as late as they are seen, `(samples, 2, lanes)`."""
+    own = states[:, [joint, run.step.simulator.joints + joint]]
+    late = run.late_s[joint] > 0.0
+    if not late.any():
+        return own
+    samples = np.arange(len(own))[:, None]
+    started = run.timeline.starts[np.searchsorted(run.timeline.starts, samples, "right") - 1]
+    lanes = np.flatnonzero(late)
+
+    def passed(k: Index) -> Array:
+        now = own[k, :, lanes]
+        if follows is not None:  # until its start a window has the filter's past
+            first = follows.passed[:, [joint, run.step.simulator.joints + joint]][k]
+            now = np.where((k <= started)[..., None], first, now)
+        return np.moveaxis(now, -1, 0)
+
+    seen = own.copy()
+    seen[:, :, lanes] = seen_late(
+        run.series.t_s, samples, run.late_s[joint, lanes], passed
+    ).swapaxes(0, 1)
+    return seen
+
+
 def _in_turn(
-    s: Series,
+    run: Run,
     one: Acting,
     signals: Mapping[str, Any],
-    starts: NDArray[np.int64],
     states: Array,
     ended: Array,
-    following: int,
-    follows: Mapping[Any, Array] | None,
+    follows: Followed | None,
 ) -> tuple[Array, Array]:
-    """What a sensor shows that remembers, one sample after the other."""
-    lanes = states.shape[2]
-    keys = [(one.effect.name, state) for state in one.effect.states]
-    memory = one.begin(s.issued[0, 0], lanes)
+    """What a sensor shows that remembers, one sample after the other; of its joint's `states`
+    `(samples, 2, lanes)` and the velocities with which windows `ended` `(windows, lanes)`."""
+    s, lanes = run.series, states.shape[2]
+    memory = one.begin(s.issued[0, one.joint], lanes)
     q, v = np.empty_like(states[:, 0]), np.empty_like(states[:, 0])
-    windows = {int(sample): w for w, sample in enumerate(starts)}
+    windows = {int(sample): w for w, sample in enumerate(run.timeline.starts)}
     changing = [k for k, x in signals.items() if np.ndim(x)]
     now = dict(signals)
     for i in range(len(s.t_s)):
         if i in windows and follows is not None:
-            memory = {key: np.full(lanes, follows[key][i]) for key in keys}
+            memory = {key: np.full(lanes, follows.memory[key][i]) for key in one.keys}
         elif i in windows:
             if one.effect.hides_velocity:  # to set a velocity is no motion
-                memory[keys[1]] = memory[keys[1]] + states[i, 1] - ended[windows[i]]
-            memory = {key: followed(x, following) for key, x in memory.items()}
+                before = one.keys[1]
+                memory[before] = memory[before] + states[i, 1] - ended[windows[i]]
+            memory = {key: followed(x, run.following) for key, x in memory.items()}
         for k in changing:
             now[k] = signals[k][i]
         if i in windows and follows is not None:
             q[i], v[i] = states[i]  # of a window's start the filter's own is told
             continue
         q[i], v[i], *after = one.value(now, memory)
-        memory = dict(zip(keys, after, strict=True))
+        memory = dict(zip(one.keys, after, strict=True))
     return q, v

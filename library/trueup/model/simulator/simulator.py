@@ -2,10 +2,11 @@
 
     step(state, command, parameters) -> state
 
-`state` `(lanes, 2 + hidden)` holds the position, the velocity and whatever else the simulator
-remembers; `command` `(lanes, 1)`; `parameters` a dict of arrays `(lanes,)`. Every lane is a
-simulation of its own. A function that also takes `force` `(lanes, 1)`, a force at the joint in the
-simulator's own unit, lets effects act that push or hold: friction, backlash's rebound, cogging.
+`state` `(lanes, 2 x joints + hidden)` holds the positions, the velocities and whatever else the
+simulator remembers; `command` `(lanes, joints)`; `parameters` a dict of arrays `(lanes,)`. Every
+lane is a simulation of its own. A function that also takes `force` `(lanes, joints)`, a force at
+each joint in the simulator's own unit, lets effects act that push or hold: friction, backlash's
+rebound, cogging.
 One that takes `h_s`, the length of the step [s] `(lanes,)`, is asked for other steps than its
 declared one; of others a part of the step is taken in proportion.
 
@@ -31,7 +32,6 @@ from trueup.errors import BadSimulator
 
 Array = NDArray[np.float64]
 Step = Callable[..., Any]
-MOTION = 2  # states of a joint: position and velocity
 LANES = 3  # that a simulator is tried with
 SAME = 1e-9  # of a state: lanes of one simulator that differ by more disturb each other
 NAMES = ("state", "command", "parameters", "force", "h_s")
@@ -40,8 +40,8 @@ NAMES = ("state", "command", "parameters", "force", "h_s")
 @dataclass(frozen=True, eq=False)
 class Simulator:
     """A user's step function. `parameters` are its numbers and what they are in the nominal model,
-    `timestep_s` [s] the length of its step, `begins` the values with which hidden states begin;
-    `sha256` names its text."""
+    `timestep_s` [s] the length of its step, `begins` the values with which hidden states begin,
+    `joints` how many it moves; `sha256` names its text."""
 
     name: str
     step: Step
@@ -49,10 +49,16 @@ class Simulator:
     timestep_s: float
     begins: tuple[float, ...] = ()
     sha256: str = ""
+    joints: int = 1
+
+    @property
+    def motion(self) -> int:
+        """How many columns of a state are positions and velocities."""
+        return 2 * self.joints
 
     @cached_property
     def takes_force(self) -> bool:
-        """Whether forces can be added to the joint."""
+        """Whether forces can be added to the joints."""
         return "force" in _arguments(self.step)
 
     @cached_property
@@ -69,14 +75,14 @@ class Simulator:
         force: Array | None = None,
     ) -> Array:
         """States `(lanes, states)` after a step of the declared length, or of `h_s` [s]
-        `(lanes,)`, under commands `(lanes,)` and forces `(lanes,)`. Raises BadSimulator."""
+        `(lanes,)`, under commands and forces `(lanes, joints)`. Raises BadSimulator."""
         more: dict[str, Any] = {}
         if self.takes_force:
-            more["force"] = np.zeros((len(state), 1)) if force is None else force[:, None]
+            more["force"] = np.zeros_like(command) if force is None else force
         if self.takes_step:
             more["h_s"] = np.full(len(state), self.timestep_s) if h_s is None else h_s
         try:
-            after = np.asarray(self.step(state, command[:, None], parameters, **more), float)
+            after = np.asarray(self.step(state, command, parameters, **more), float)
         except Exception as error:
             raise BadSimulator(
                 f"the step of {self.name} failed: {error!r}",
@@ -100,9 +106,9 @@ class Simulator:
         if not self.timestep_s > 0.0:
             raise BadSimulator(f"the step of {self.name} has no length", field="timestep_s")
         rng = np.random.default_rng(1)
-        states = rng.normal(size=(LANES, MOTION + len(self.begins)))
-        states[:, MOTION:] = self.begins
-        commands = rng.normal(size=LANES)
+        states = rng.normal(size=(LANES, self.motion + len(self.begins)))
+        states[:, self.motion :] = self.begins
+        commands = rng.normal(size=(LANES, self.joints))
         together = self.moved(states, commands, self._lanes(LANES))
         again = self.moved(states, commands, self._lanes(LANES))
         alone = np.concatenate(

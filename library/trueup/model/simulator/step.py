@@ -1,10 +1,10 @@
-"""One step of a simulator with what acts at its joint, for all lanes at once.
+"""One step of a simulator with what acts at its joints, for all lanes at once.
 
 Forces are worked out at a part `alpha` of the step, its beginning or its middle, where the
 simulator alone would be, and handed to it for the whole step. Dry friction is the force that slows
-the joint and never turns it: the step is taken without it and with the whole of it, and where that
-would turn the motion, in the proportion that stops it. A unit of an effect's force is an
-acceleration of the joint at rest with its nominal parameters (`size`).
+a joint and never turns it: the step is taken without it and with the whole of it at each joint that
+rubs, and of each so much is taken that no joint is turned. A unit of an effect's force is an
+acceleration of its joint at rest with the nominal parameters (`sizes`).
 """
 
 from __future__ import annotations
@@ -16,27 +16,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.model.simulator.simulator import MOTION, Simulator
+from trueup.model.joint_effects import PARTS, answers_all
+from trueup.model.simulator.simulator import Simulator
 from trueup.model.simulator.timeline import Acting
+from trueup.model.tree import SWEEPS
 
 Array = NDArray[np.float64]
-Memory = dict[tuple[str, str], Array]  # hidden states by effect and name, `(lanes,)`
-NOMINAL_PARTS = {"passive", "drive", "spring"}
+Memory = dict[tuple[str, str], Array]  # hidden states by term and name, `(lanes,)`
+Signals = dict[str, Any]  # of one joint, by name
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedStep:
-    """A simulator with its parameters `(lanes,)` by name, and the effects at its joint. `size` is
-    the force that gives the joint at rest a unit of acceleration, `asked` what the effects ask
-    for."""
+    """A simulator with its parameters `(lanes,)` by name, and the effects at its joints. `sizes`
+    `(joints,)` is the force that gives each joint at rest a unit of acceleration, `u_scale`
+    `(joints,)` its command's declared limit, `asked` what the effects ask for."""
 
     simulator: Simulator
     parameters: Mapping[str, Array]
     forces: Sequence[Acting]
     frictions: Sequence[Acting]
-    size: float
+    sizes: Array
     alpha: float
-    u_scale: float
+    u_scale: Array
     period_s: float
     asked: frozenset[str]
 
@@ -64,83 +66,175 @@ class SimulatedStep:
 
     @property
     def acts(self) -> bool:
-        """Whether anything acts at the joint."""
+        """Whether anything acts at the joints."""
         return bool(self.forces or self.frictions)
 
     def advance(
-        self, state: Array, u: Array, h_s: Array, t_s: Any, memory: Memory, push: Any = 0.0
+        self,
+        state: Array,
+        u: Array,
+        h_s: Array,
+        t_s: Any,
+        memory: Memory,
+        push: Array | None = None,
     ) -> tuple[Array, Memory]:
         """States `(lanes, states)` and memory a step of `h_s` [s] `(lanes,)` later, under commands
-        `(lanes,)` and a `push`, an acceleration that nothing explains."""
+        `(lanes, joints)` and a `push`, accelerations that nothing explains, `(lanes, joints)`."""
         free = self._moved(state, u, h_s)
         if not self.acts:
-            return (free if np.isscalar(push) else _pushed(free, h_s, push)), memory
-        signals = self._signals(state, free, u, h_s, t_s)
-        before, memory = signals["a"], dict(memory)
-        for one in self.forces:
-            signals["a"], *states = one.value(signals, memory)
-            keys = ((one.effect.name, state) for state in one.effect.states)
-            memory.update(zip(keys, states, strict=True))
-        more = (signals["a"] - before + push) * self.size
+            return (free if push is None else self._pushed(free, h_s, push)), memory
+        inverse_mass = self._inverse_mass(state, free, u, h_s) if self.asked & PARTS else None
+        signals = self._signals(state, free, u, h_s, t_s, inverse_mass)
+        memory = dict(memory)
+        gained = np.zeros_like(u) if push is None else push.copy()
+        self._push(signals, memory, gained, inverse_mass)
+        more = gained * self.sizes
         if not self.frictions:
             return self._moved(state, u, h_s, more), memory
-        level: Any = 0.0
-        for one in self.frictions:
-            level = level + one.value(signals, memory)[0]
-        if self.forces or not np.isscalar(push):
+        if self.forces or push is not None:
             free = self._moved(state, u, h_s, more)
-        against = -np.copysign(level * self.size, free[:, 1])
-        held = self._moved(state, u, h_s, more + against)
-        slowed = free[:, 1] - held[:, 1]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.where(slowed != 0.0, np.clip(free[:, 1] / slowed, 0.0, 1.0), 1.0)
-        return free + share[:, None] * (held - free), memory
+        level = np.zeros_like(u)
+        for one in self.frictions:
+            level[:, one.joint] += one.value(signals[one.joint], memory)[0]
+        return self._braked(state, u, h_s, more, free, level * self.sizes), memory
 
-    def _signals(self, state: Array, free: Array, u: Array, h_s: Array, t_s: Any) -> dict[str, Any]:
-        """What effects at the joint may ask for."""
-        at = state[:, :MOTION] + self.alpha * (free[:, :MOTION] - state[:, :MOTION])
-        signals: dict[str, Any] = {
-            "q": at[:, 0],
-            "v": at[:, 1],
-            "a": (free[:, 1] - state[:, 1]) / h_s,
-            "u": u,
-            "h": h_s,
-            "t": t_s,
-            "implicit": 1.0 - 2.0 * self.alpha,
-            "u_scale": self.u_scale,
-            "period": self.period_s,
-        }
-        if self.asked & NOMINAL_PARTS:
-            there = state.copy()
-            there[:, :MOTION] = at
-            signals["passive"] = self._undriven(there, h_s)
-            signals["drive"] = signals["a"] - signals["passive"]
-            there[:, 1] = 0.0
-            signals["spring"] = self._undriven(there, h_s)
-        if "mobility" in self.asked:
-            unit = np.full(len(u), self.size)
-            pushed = self._moved(state, u, h_s, unit)
-            signals["mobility"] = (pushed[:, 1] - free[:, 1]) / h_s
+    def _push(
+        self,
+        signals: Sequence[Signals],
+        memory: Memory,
+        gained: Array,
+        inverse_mass: Array | None,
+    ) -> None:
+        """Add what forces change in the accelerations `(lanes, joints)`; those that answer all
+        others come last."""
+
+        def act(one: Acting) -> None:
+            now = signals[one.joint]
+            after, *states = one.value(now, memory)
+            gained[:, one.joint] += after - now["a"]
+            now["a"] = after
+            memory.update(zip(one.keys, states, strict=True))
+
+        answering = [one for one in self.forces if answers_all(one.effect)]
+        for one in self.forces:
+            if one not in answering:
+                act(one)
+        if answering and len(signals) > 1:
+            assert inverse_mass is not None
+            elsewhere = inverse_mass * (1.0 - np.eye(len(signals)))
+            through = np.einsum("ljk,lk->lj", elsewhere, gained * self.sizes)
+            for j, now in enumerate(signals):
+                now["passive"] = now["passive"] + through[:, j] / now["mobility"]
+        for one in answering:
+            act(one)
+
+    def _braked(
+        self, state: Array, u: Array, h_s: Array, more: Array, free: Array, level: Array
+    ) -> Array:
+        """States after dry friction up to a level `(lanes, joints)` at each joint. Source: J. J.
+        Moreau (1988); the sweeps: M. Jean, Computer Methods in Applied Mechanics and Engineering
+        177 (1999)."""
+        joints = level.shape[1]
+        rubs = sorted({one.joint for one in self.frictions})
+        velocities = slice(joints, 2 * joints)
+        v, changes, shares = free[:, velocities].copy(), {}, dict.fromkeys(rubs, np.zeros(len(u)))
+        for j in rubs:
+            held = more.copy()
+            held[:, j] -= np.copysign(level[:, j], v[:, j])
+            changes[j] = self._moved(state, u, h_s, held) - free
+        for _ in range(SWEEPS if len(rubs) > 1 else 1):
+            for j in rubs:
+                slows = changes[j][:, joints + j]
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    wanted = np.clip(shares[j] - v[:, j] / slows, -1.0, 1.0)
+                wanted = np.where(slows != 0.0, wanted, 1.0)
+                v += (wanted - shares[j])[:, None] * changes[j][:, velocities]
+                shares[j] = wanted
+        return np.asarray(free + sum(shares[j][:, None] * changes[j] for j in rubs))
+
+    def _signals(
+        self,
+        state: Array,
+        free: Array,
+        u: Array,
+        h_s: Array,
+        t_s: Any,
+        inverse_mass: Array | None,
+    ) -> list[Signals]:
+        """What effects at each joint may ask for."""
+        joints, motion = self.simulator.joints, self.simulator.motion
+        there = state.copy()
+        there[:, :motion] += self.alpha * (free - state)[:, :motion]
+        a = self._gained(state, free, h_s)
+        signals: list[Signals] = [
+            {
+                "q": there[:, j],
+                "v": there[:, joints + j],
+                "a": a[:, j],
+                "u": u[:, j],
+                "h": h_s,
+                "t": t_s,
+                "implicit": 1.0 - 2.0 * self.alpha,
+                "u_scale": float(self.u_scale[j]),
+                "period": self.period_s,
+            }
+            for j in range(joints)
+        ]
+        if inverse_mass is not None:
+            mobility = np.einsum("ljj->lj", inverse_mass) * self.sizes
+            drive = self._as_forces(inverse_mass, a - self._undriven(there, h_s))
+            for j, now in enumerate(signals):
+                now |= {
+                    "mobility": mobility[:, j],
+                    "drive": drive[:, j],
+                    "passive": a[:, j] / mobility[:, j] - drive[:, j],
+                }
+                if "spring" in self.asked:
+                    at_rest = there.copy()
+                    at_rest[:, joints + j] = 0.0
+                    springs = self._as_forces(inverse_mass, self._undriven(at_rest, h_s))
+                    now["spring"] = springs[:, j]
         return signals
+
+    def _inverse_mass(self, state: Array, free: Array, u: Array, h_s: Array) -> Array:
+        """The acceleration of each joint by a unit of force at each, `(lanes, joints, joints)`."""
+        columns = []
+        for j, size in enumerate(self.sizes):
+            force = np.zeros_like(u)
+            force[:, j] = size
+            columns.append(self._gained(free, self._moved(state, u, h_s, force), h_s) / size)
+        return np.stack(columns, axis=2)
+
+    def _as_forces(self, inverse_mass: Array, accelerations: Array) -> Array:
+        """The forces that bring about accelerations, in units of the effects', `(lanes, joints)`
+        each."""
+        if len(self.sizes) == 1:
+            return np.asarray(accelerations / (inverse_mass[:, 0] * self.sizes))
+        return np.asarray(np.linalg.solve(inverse_mass, accelerations[..., None])[..., 0]) / (
+            self.sizes
+        )
+
+    def _gained(self, before: Array, after: Array, h_s: Array) -> Array:
+        """The mean acceleration between states, `(lanes, joints)`."""
+        velocities = slice(self.simulator.joints, self.simulator.motion)
+        return np.asarray((after - before)[:, velocities] / h_s[:, None])
 
     def _moved(self, state: Array, u: Array, h_s: Array, force: Array | None = None) -> Array:
         return self.simulator.moved(state, u, self.parameters, h_s, force)
 
     def _undriven(self, there: Array, h_s: Array) -> Array:
-        """The mean acceleration without a command over a step of which a state is the part `alpha`,
-        `(lanes,)`."""
-        none = np.zeros(len(there))
+        """The mean accelerations without commands over a step of which a state is the part `alpha`,
+        `(lanes, joints)`."""
+        none = np.zeros((len(there), self.simulator.joints))
         begin = there
         if self.alpha:
             passes = self._moved(there, none, h_s) - there
             begin = there - self.alpha * passes
-        after = self._moved(begin, none, h_s)
-        return np.asarray((after[:, 1] - begin[:, 1]) / h_s)
+        return self._gained(begin, self._moved(begin, none, h_s), h_s)
 
-
-def _pushed(state: Array, h_s: Array, push: Array) -> Array:
-    """States that an acceleration moved during a step."""
-    moved = state.copy()
-    moved[:, 0] += 0.5 * h_s * h_s * push
-    moved[:, 1] += h_s * push
-    return moved
+    def _pushed(self, state: Array, h_s: Array, push: Array) -> Array:
+        """States that accelerations moved during a step."""
+        joints, moved, span = self.simulator.joints, state.copy(), h_s[:, None]
+        moved[:, :joints] += 0.5 * span * span * push
+        moved[:, joints : 2 * joints] += span * push
+        return moved
