@@ -31,6 +31,7 @@ from trueup.model.block import kind
 from trueup.model.dynamics import CompiledTree, Dynamics
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
+from trueup.model.simulator.dynamics import SimulatedDynamics
 from trueup.numbers import number, required
 
 
@@ -108,6 +109,11 @@ def _simulated(_: Dynamics) -> SelectionCriteria:
 @_simulated.register
 def _simulated_robot(_: CompiledTree) -> SelectionCriteria:
     return ROBOT
+
+
+@_simulated.register
+def _of_simulator(dynamics: SimulatedDynamics) -> SelectionCriteria:
+    return SIMULATED if dynamics.joints == 1 else ROBOT
 
 
 class Conclusion(StrEnum):

@@ -52,7 +52,7 @@ class Strategy:
     """What differs between kinds of plants and of episodes, by name.
 
     effort              how many go on at each step
-    robot               whether the nominal form is a robot's tree of joints
+    robot               whether joints move each other
     thorough            whether fits are carried to a millionth of their cost: a joint's always,
                         for they are cheap; a robot's only on a simulator's log, whose laws hold so
                         exactly that it tells anything
@@ -89,8 +89,12 @@ def _strategy(dynamics: Dynamics, _: SelectionCriteria) -> Strategy:
     raise TypeError(type(dynamics).__name__)
 
 
+@_strategy.register
+def _of_simulator(dynamics: SimulatedDynamics, criteria: SelectionCriteria) -> Strategy:
+    return (_of_joint if dynamics.joints == 1 else _of_robot)(dynamics, criteria)
+
+
 @_strategy.register(CompiledFamily)
-@_strategy.register(SimulatedDynamics)
 def _of_joint(_: Dynamics, criteria: SelectionCriteria) -> Strategy:
     return Strategy(
         effort=ONE_JOINT,
@@ -106,8 +110,8 @@ def _of_joint(_: Dynamics, criteria: SelectionCriteria) -> Strategy:
     )
 
 
-@_strategy.register
-def _of_robot(dynamics: CompiledTree, criteria: SelectionCriteria) -> Strategy:
+@_strategy.register(CompiledTree)
+def _of_robot(dynamics: Dynamics, criteria: SelectionCriteria) -> Strategy:
     return Strategy(
         effort=ROBOT if dynamics.joints < MANY_JOINTS else LARGE_ROBOT,
         robot=True,

@@ -182,9 +182,11 @@ def _beside(_: Dynamics, model: Corrected) -> str:
 def _beside_a_simulator(dynamics: SimulatedDynamics, model: Corrected) -> str:
     numbers = model.values[: len(dynamics.parameter_names)]
     named = zip(dynamics.parameter_names, numbers, strict=True)
-    inertia = f"of {dynamics.size(numbers):.6g} " if dynamics.takes_force else ""
+    sizes = ", ".join(f"{x:.6g}" for x in dynamics.sizes(numbers))
+    inertia = f"of {sizes} " if dynamics.takes_force else ""
+    of = "joint's inertia" if dynamics.joints == 1 else "joints' inertias at rest"
     return (
-        f"The asset must hold the joint's inertia {inertia}and what gravity and springs do, as the "
+        f"The asset must hold the {of} {inertia}and what gravity and springs do, as the "
         f"simulator has them with {', '.join(f'{n} {x:.6g}' for n, x in named)}."
     )
 
@@ -241,9 +243,11 @@ def _of_tree(dynamics: CompiledTree, plant: Plant, inertia: float | None) -> _Re
 
 @_reader.register
 def _of_simulator(dynamics: SimulatedDynamics, plant: Plant, inertia: float | None) -> _Reader:
-    if inertia is not None and dynamics.takes_force:
+    if inertia is not None and (dynamics.takes_force or dynamics.joints > 1):
         raise NotExportable(
-            "the simulator takes forces, which say what its inertia is",
+            "the simulator takes forces, which say what its inertia is"
+            if dynamics.takes_force
+            else "the simulator has several joints, each with an inertia of its own",
             hint="Leave --inertia out: it is for one joint of a family.",
         )
     return _Simulator(dynamics, plant, 1.0 if inertia is None else inertia)
@@ -255,22 +259,26 @@ class _Simulator(_Reader):
 
     def __init__(self, dynamics: SimulatedDynamics, plant: Plant, inertia: float) -> None:
         self._dynamics, self._count, self._inertia = dynamics, len(plant.parameters), inertia
-        self._is_servo = plant.layout.commands[0].field is Field.POSITION
+        self._commands = [plant.layout.commands[k] for k in plant.command_columns]
 
     def numbers(self, values: Array, j: int) -> dict[str, float]:
-        ends = np.array([1.0, -1.0]) * NEAR_REST
-        zero = np.zeros(2)
-        a = [
-            self._dynamics.acceleration(values[: self._count], *motion)
-            for motion in ((ends, zero, zero), (zero, ends, zero), (zero, zero, ends))
-        ]
-        size = self._dynamics.size(values[: self._count].tolist()) * self._inertia
-        by_q, by_v, by_u = (size * float(x[0] - x[1]) / (2.0 * NEAR_REST) for x in a)
-        return {"gain": by_u, "damping": -by_v, "servo": -by_q if self._is_servo else 0.0}
+        own, joints = values[: self._count], self._dynamics.joints
+        mass = np.eye(joints)
+        if self._dynamics.takes_force:
+            mass = self._dynamics.mass(own, np.zeros((1, joints)))[0]
+        slopes = []
+        for column in (j, joints + j, 2 * joints + j):  # of position, velocity and command
+            motion = np.zeros((2, 3 * joints))
+            motion[:, column] = NEAR_REST, -NEAR_REST
+            a = self._dynamics.acceleration(own, motion[:, : 2 * joints], motion[:, 2 * joints :])
+            slopes.append(self._inertia * float(mass[j] @ (a[0] - a[1])) / (2.0 * NEAR_REST))
+        by_q, by_v, by_u = slopes
+        servo = self._commands[j].field is Field.POSITION
+        return {"gain": by_u, "damping": -by_v, "servo": -by_q if servo else 0.0}
 
     def size(self, j: int) -> float:
         # what effects are measured by stays that of the nominal numbers
-        return float(self._dynamics.form.sizes[0]) * self._inertia
+        return float(self._dynamics.form.sizes[j]) * self._inertia
 
 
 class _Family(_Reader):

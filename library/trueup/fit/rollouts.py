@@ -76,6 +76,7 @@ class Rollouts:
         self.form = form
         self.block = form.block
         self.of_tree = form.of_tree
+        self.of_robot = form.moves_together
         self.joints = form.block.joints
         self.directions = directions
         self.scales = tuple(scales)
@@ -107,9 +108,9 @@ class Rollouts:
         return len(self.free(hypothesis).rows) <= self.room()
 
     def room(self) -> int:
-        """How many numbers may be free: a family's fit in one block, a tree's take as many as they
+        """How many numbers may be free: a family's fit in one block, a robot's take as many as they
         need."""
-        return BLOCK - 1 - 2 * self.joints if not self.of_tree else 1_000
+        return BLOCK - 1 - 2 * self.joints if not self.of_robot else 1_000
 
     def free(self, hypothesis: Hypothesis, fixed: Iterable[tuple[str, str]] = ()) -> Free:
         """What a hypothesis leaves free, the nominal form's numbers first."""
@@ -385,6 +386,6 @@ class Rollouts:
         from a late drive, and is shifted."""
         late_s = np.zeros(self.joints)
         for t in hypothesis.effects:
-            if self.of_tree and kind(t).port is Port.OBSERVATION and kind(t).delays():
+            if self.of_robot and kind(t).port is Port.OBSERVATION and kind(t).delays():
                 late_s[joint(t)] += values[self.block.rows(t)[0]]
         return late_s

@@ -330,5 +330,5 @@ def _side_by_side(
         commands = np.tile(u, (steps + 1, 1))
         s = unobserved(model.scheme, t_s, commands, model.plant.command_scales, float(h))
         asked.append(RolloutOf(s, model.lanes(), np.repeat(state[None, :, None], BLOCK, axis=2)))
-    on = switches(model.acting, 1)
+    on = switches(model.acting, len(model.plant.joints))
     return np.stack(roll_each(model.plant.form, on, asked, lambda _, out: out[1:, :, 0]))

@@ -60,6 +60,11 @@ class Form:
         return self.family == TREE_FORM
 
     @property
+    def moves_together(self) -> bool:
+        """Whether its joints move each other: a robot's tree, or a simulator of several joints."""
+        return self.of_tree or self.block.joints > 1
+
+    @property
     def per_inertia(self) -> bool:
         """Whether forces are accelerations: of a family, and of a simulator that takes none."""
         return not self.of_tree and (self.simulator is None or not self.simulator.takes_force)

@@ -138,6 +138,18 @@ class Reader:
         lower = pair.number("lower")
         return lower, pair.number("upper", above=lower)
 
+    def names(self, key: str) -> list[str]:
+        """The different words of the non-empty list at `key`."""
+        words = self._get(key)
+        if (
+            not isinstance(words, list)
+            or not all(isinstance(w, str) and w for w in words)
+            or not words
+            or len(set(map(str, words))) < len(words)
+        ):
+            raise BadPlant(f"{self.at(key)} must be a list of names", field=self.at(key))
+        return [str(w) for w in words]
+
     def numbers(self, key: str, count: int | None = None) -> list[float]:
         """A list of so many finite numbers, or of any."""
         numbers = self._get(key)

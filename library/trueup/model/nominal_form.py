@@ -31,7 +31,7 @@ def resolved(document: Any, folder: Path) -> Any:
 
 def read_nominal(nominal: Reader) -> tuple[Dynamics, tuple[float, ...]]:
     """The dynamics of a nominal model and its parameters: a family of one joint, a robot's tree, or
-    a simulator of the user's own. Raises BadPlant, BadSimulator."""
+    a simulator of the user's own, of any joints. Raises BadPlant, BadSimulator."""
     if "mjcf" in nominal.value:
         return _robot(nominal)
     return _simulator(nominal) if "simulator" in nominal.value else _family(nominal)
@@ -43,10 +43,14 @@ def _simulator(nominal: Reader) -> tuple[Dynamics, tuple[float, ...]]:
     # in the order of their names, as canonical JSON has them
     parameters = {key: given.number(key) for key in sorted(given.value)}
     begins = nominal.numbers("begins") if "begins" in nominal.value else []
-    nominal.no_more("simulator", "sha256", "parameters", "begins", "timestep_s", "integrator")
+    joints = nominal.names("joints") if "joints" in nominal.value else ["joint"]
+    nominal.no_more(
+        "simulator", "sha256", "parameters", "begins", "joints", "timestep_s", "integrator"
+    )
     step, timestep_s = step_at_hand(sha256, name), nominal.number("timestep_s", above=0.0)
-    simulator = Simulator(name, step, parameters, timestep_s, tuple(begins)).checked()
-    dynamics = SimulatedDynamics(simulator)
+    declared = Simulator(name, step, parameters, timestep_s, tuple(begins), sha256, len(joints))
+    several = tuple(joints) if len(joints) > 1 else ()
+    dynamics = SimulatedDynamics(declared.checked(), several)
     dynamics.sizes(tuple(parameters.values()))  # raises where a force is taken and not used
     return dynamics, tuple(parameters.values())
 

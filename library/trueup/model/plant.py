@@ -276,15 +276,22 @@ def _joints_of(dynamics: Dynamics, layout: Layout) -> tuple[str | None, ...]:
     raise TypeError(type(dynamics).__name__)
 
 
+@_joints_of.register
+def _joints_of_simulator(dynamics: SimulatedDynamics, layout: Layout) -> tuple[str | None, ...]:
+    if dynamics.joints == 1:
+        return _joint_of_family(dynamics, layout)
+    parameters = list(dynamics.simulator.parameters.values())
+    return _joints_of_robot(dynamics, parameters, dynamics.joint_names, layout)
+
+
 @_joints_of.register(CompiledFamily)
-@_joints_of.register(SimulatedDynamics)
 def _joint_of_family(_: Dynamics, layout: Layout) -> tuple[str | None, ...]:
     one_joint = len({c.joint for c in layout.observations}) == 1
     if not one_joint or len(layout.commands) != 1:
         raise BadPlant(
-            "a family, or a simulator, describes one joint with one command",
+            "a family, or a simulator without `joints`, describes one joint with one command",
             field="observations",
-            hint="Describe a robot of several joints by its MJCF.",
+            hint="Describe a robot by its MJCF, or name the joints of its simulator.",
         )
     if not any(c.field is Field.POSITION for c in layout.observations):
         raise BadPlant("a plant needs an observed position", field="observations")
@@ -293,8 +300,14 @@ def _joint_of_family(_: Dynamics, layout: Layout) -> tuple[str | None, ...]:
 
 @_joints_of.register
 def _joints_of_tree(dynamics: CompiledTree, layout: Layout) -> tuple[str | None, ...]:
+    return _joints_of_robot(dynamics, dynamics.tree.parameters, dynamics.tree.joints, layout)
+
+
+def _joints_of_robot(
+    dynamics: Dynamics, parameters: Sequence[float], names: tuple[str, ...], layout: Layout
+) -> tuple[str | None, ...]:
     shown = {c.joint for c in layout.observations if c.field is Field.POSITION}
-    joints: tuple[str | None, ...] = dynamics.tree.joints
+    joints: tuple[str | None, ...] = names
     for field, channels in (("observations", layout.observations), ("commands", layout.commands)):
         seen: set[tuple[str | None, Field | None]] = set()
         for c in channels:
@@ -315,9 +328,7 @@ def _joints_of_tree(dynamics: CompiledTree, layout: Layout) -> tuple[str | None,
             seen.add(what)
     for c in layout.commands:
         if not np.ptp(
-            dynamics.drive(
-                dynamics.tree.parameters, joints.index(c.joint), np.zeros(2), np.array([0.0, 1.0])
-            )
+            dynamics.drive(parameters, joints.index(c.joint), np.zeros(2), np.array([0.0, 1.0]))
         ):
             raise BadPlant(
                 f"the model has no actuator at joint {c.joint}, which {c.name} commands",

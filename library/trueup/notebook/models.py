@@ -134,20 +134,24 @@ class Robot(NominalModel):
 
 @dataclass(frozen=True)
 class Simulator(NominalModel):
-    """A simulator of your own of one joint: a function, or a file that holds one.
+    """A simulator of your own: a function, or a file that holds one.
 
-    `step(state, command, parameters) -> state` moves many simulations at once: `state` `(lanes, 2)`
-    with position and velocity, `command` `(lanes, 1)`, `parameters` a dict of arrays `(lanes,)`. It
-    may also take `force` `(lanes, 1)`, which lets effects push and hold, and `h_s` `(lanes,)` [s],
-    the length of the step. A file is Python that defines `step`, or an ONNX model.
+    `step(state, command, parameters) -> state` moves many simulations at once: `state` `(lanes, 2 x
+    joints)` with the positions of all joints, then their velocities; `command` `(lanes, joints)`;
+    `parameters` a dict of arrays `(lanes,)`. It may also take `force` `(lanes, joints)`, which lets
+    effects push and hold, and `h_s` `(lanes,)` [s], the length of the step. A file is Python that
+    defines `step`, or an ONNX model.
+
     `parameters` are those that may be off, with their nominal values; `begins` the values with
-    which further columns of the state begin, that nobody observes. `timestep_s` [s] is the step
-    that the simulator makes, unless it takes `h_s`. Raises BadSimulator.
+    which further columns of the state begin, that nobody observes; `joints` the names of several
+    joints, in the order of the state's columns. `timestep_s` [s] is the step that the simulator
+    makes, unless it takes `h_s`. Raises BadSimulator.
     """
 
     step: Callable[..., Any] | str | PathLike[str]
     parameters: Mapping[str, float]
     begins: tuple[float, ...] = ()
+    joints: tuple[str, ...] | None = None
 
     def nominal(self) -> dict[str, Any]:
         if callable(self.step):
@@ -168,6 +172,7 @@ class Simulator(NominalModel):
             "sha256": sha256,
             "parameters": dict(self.parameters),
             **({"begins": list(self.begins)} if self.begins else {}),
+            **({"joints": list(self.joints)} if self.joints else {}),
         }
 
 

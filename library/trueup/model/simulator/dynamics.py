@@ -25,6 +25,7 @@ class SimulatedDynamics(Dynamics):
     """Joints that a user's step function moves."""
 
     simulator: Simulator
+    joint_names: tuple[str, ...] = ()  # of several joints, in the order of a state
     name = "simulator"
 
     @property
@@ -100,7 +101,7 @@ class SimulatedDynamics(Dynamics):
     def inertia(self, parameters: Array, q: Array) -> Array:
         if self.joints == 1 or not self.takes_force:
             return np.tile(np.eye(self.joints), (len(q), 1, 1))
-        return np.asarray(self._mass(parameters, q) / self.form.sizes[None, :, None])
+        return np.asarray(self.mass(parameters, q) / self.form.sizes[None, :, None])
 
     def own_regressors(self, states: Array, applied: Array) -> Array | None:
         """How the acceleration changes with each parameter, near the nominal ones."""
@@ -144,10 +145,10 @@ class SimulatedDynamics(Dynamics):
         BadSimulator."""
         if not self.simulator.takes_force:
             return np.ones(self.joints)
-        mass = self._mass(np.array(parameters, float), np.zeros((1, self.joints)))[0]
+        mass = self.mass(np.array(parameters, float), np.zeros((1, self.joints)))[0]
         return np.diag(mass).copy()
 
-    def _mass(self, parameters: Array, q: Array) -> Array:
+    def mass(self, parameters: Array, q: Array) -> Array:
         """The mass matrices at rest at positions `(n, joints)`, `(n, joints, joints)`. Raises
         BadSimulator where a force does not move its joint its way."""
         simulator = self.simulator

@@ -145,7 +145,7 @@ class _Filters:
         for k in range(int((behind - now).max(initial=0))):
             on = np.flatnonzero(now + k < behind)
             lanes: Any = slice(None) if len(on) == many else on
-            steps = [(self.runs[j], now[j] + k) for j in on]
+            steps = [(self.runs[int(j)], int(now[j]) + k) for j in on]
             u = np.array([r.commands[i, :, 0] for r, i in steps])
             h_s = np.array([r.h_s[i, 0] for r, i in steps])
             t_s = np.array([r.timeline.begins_s[i] for r, i in steps])

@@ -100,7 +100,8 @@ def _run(
     late_s = np.zeros((simulator.joints, len(kept)))
     for x in acting:
         if sensor_is_late(x, simulator.joints):
-            late_s[x.joint] = x.value({"lag_s": late_s[x.joint], "period": s.period_s}, {})[0]
+            given = {"lag_s": late_s[x.joint], "period": s.period_s}
+            late_s[x.joint] = x.value(given, x.begin(0.0, len(kept)))[0]
     starts = int(np.searchsorted(kept, one.starts, side="right")) - 1
     return Run(s, timeline, step, sensors, late_s, commands, h_s, init, starts, one.gain)
 

@@ -80,15 +80,14 @@ class SimulatedStep:
     ) -> tuple[Array, Memory]:
         """States `(lanes, states)` and memory a step of `h_s` [s] `(lanes,)` later, under commands
         `(lanes, joints)` and a `push`, accelerations that nothing explains, `(lanes, joints)`."""
-        free = self._moved(state, u, h_s)
         if not self.acts:
-            return (free if push is None else self._pushed(free, h_s, push)), memory
+            return self._undisturbed(state, u, h_s, push), memory
+        free = self._moved(state, u, h_s)
         inverse_mass = self._inverse_mass(state, free, u, h_s) if self.asked & PARTS else None
         signals = self._signals(state, free, u, h_s, t_s, inverse_mass)
         memory = dict(memory)
-        gained = np.zeros_like(u) if push is None else push.copy()
-        self._push(signals, memory, gained, inverse_mass)
-        more = gained * self.sizes
+        gained = self._pushed(signals, memory, inverse_mass)
+        more = (gained if push is None else gained + push) * self.sizes
         if not self.frictions:
             return self._moved(state, u, h_s, more), memory
         if self.forces or push is not None:
@@ -98,15 +97,12 @@ class SimulatedStep:
             level[:, one.joint] += one.value(signals[one.joint], memory)[0]
         return self._braked(state, u, h_s, more, free, level * self.sizes), memory
 
-    def _push(
-        self,
-        signals: Sequence[Signals],
-        memory: Memory,
-        gained: Array,
-        inverse_mass: Array | None,
-    ) -> None:
-        """Add what forces change in the accelerations `(lanes, joints)`; those that answer all
-        others come last."""
+    def _pushed(
+        self, signals: Sequence[Signals], memory: Memory, inverse_mass: Array | None
+    ) -> Array:
+        """What forces change in the accelerations `(lanes, joints)`; those that answer all others
+        come last."""
+        gained = np.zeros((len(signals[0]["u"]), len(signals)))
 
         def act(one: Acting) -> None:
             now = signals[one.joint]
@@ -127,6 +123,7 @@ class SimulatedStep:
                 now["passive"] = now["passive"] + through[:, j] / now["mobility"]
         for one in answering:
             act(one)
+        return gained
 
     def _braked(
         self, state: Array, u: Array, h_s: Array, more: Array, free: Array, level: Array
@@ -232,9 +229,15 @@ class SimulatedStep:
             begin = there - self.alpha * passes
         return self._gained(begin, self._moved(begin, none, h_s), h_s)
 
-    def _pushed(self, state: Array, h_s: Array, push: Array) -> Array:
-        """States that accelerations moved during a step."""
-        joints, moved, span = self.simulator.joints, state.copy(), h_s[:, None]
+    def _undisturbed(self, state: Array, u: Array, h_s: Array, push: Array | None) -> Array:
+        """States a step later where nothing acts but a push: as a force, where the simulator takes
+        one."""
+        if push is not None and self.simulator.takes_force:
+            return self._moved(state, u, h_s, push * self.sizes)
+        moved = self._moved(state, u, h_s)
+        if push is None:
+            return moved
+        joints, moved, span = self.simulator.joints, moved.copy(), h_s[:, None]
         moved[:, :joints] += 0.5 * span * span * push
         moved[:, joints : 2 * joints] += span * push
         return moved
