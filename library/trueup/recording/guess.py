@@ -334,7 +334,7 @@ class _Guess:
                 f"the log moves {len(joints)} joints, and a family describes one",
                 "joint",
                 f"Name one with --joint ({', '.join(joints)}), or describe the robot by an MJCF or "
-                "a URDF, which --model names.",
+                "a URDF, which --model names, or by a simulator with `joints`.",
             )
         return joints[0] if joints else None
 
