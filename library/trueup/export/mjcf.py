@@ -16,6 +16,7 @@ from trueup.model.mjcf_family import mjcf_of_joint
 from trueup.model.mjcf_patch import patch
 from trueup.model.mjcf_writer import Written, write
 from trueup.model.predictor import Predictor
+from trueup.model.simulator.dynamics import SimulatedDynamics
 
 
 def written(predictor: Predictor, source: Path | None, heading: Sequence[str]) -> Written:
@@ -50,6 +51,16 @@ def _written(
             hint=f"Name the one whose SHA-256 is {nominal.get('sha256')}; this one's is {sha256}.",
         )
     return write(source, patch(predictor), heading)
+
+
+@_written.register
+def _written_simulator(
+    _: SimulatedDynamics, predictor: Corrected, source: Path | None, heading: Sequence[str]
+) -> Written:
+    raise NotExportable(
+        f"{predictor.plant.name} is a simulator of your own: it has no MJCF to be written into",
+        hint="Take the corrected drives elsewhere: `trueup convert --target`, or answer.export().",
+    )
 
 
 @_written.register
