@@ -22,6 +22,7 @@ ALL = (
     "scaled",
     "fan_out",
     "diagnosis",
+    "own_robot",
     "own_simulator",
     "spoilt",
     "robots",
