@@ -16,6 +16,7 @@ from trueup.model.plant import Plant
 from trueup.model.roll import roll
 from trueup.model.series import Scheme, Series, integral_of
 from trueup.model.simulator.simulator import offer
+from trueup.model.simulator.step import SimulatedStep
 
 SAMPLES, SIZES = 201, Scales(1.0, 3.0, 30.0, 5.0)
 OF_CHANGE = 0.02  # of what an effect changes
@@ -128,3 +129,9 @@ def test_the_channels_name_the_joints():
         Plant.from_document(
             arm_document(nominal={**nominal, "parameters": numbers(), "joints": [*JOINTS, "wrist"]})
         )
+
+
+def test_a_lane_that_no_force_moves_spoils_no_other():
+    one = SimulatedStep(None, {}, [], [], np.ones(2), 0.5, np.ones(2), PERIOD_S, frozenset())
+    forces = one._as_forces(np.stack([np.eye(2), np.zeros((2, 2))]), np.ones((2, 2)))
+    np.testing.assert_array_equal(forces, [[1.0, 1.0], [np.nan, np.nan]])

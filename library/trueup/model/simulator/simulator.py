@@ -86,18 +86,29 @@ class Simulator:
         except Exception as error:
             raise BadSimulator(
                 f"the step of {self.name} failed: {error!r}",
-                hint="It gets arrays of many simulations: np.sin, not math.sin; state[:, 0] is the "
-                "position, command[:, 0] the command.",
+                hint="It gets arrays of many simulations: np.sin, not math.sin. " + self._columns(),
             ) from error
         if after.shape != state.shape:
             raise BadSimulator(
                 f"the step of {self.name} returned {after.shape} for states {state.shape}",
-                hint="Return the states after the step, a row for each lane: "
-                "np.column_stack([q, v]); the command of each is command[:, 0].",
+                hint="Return the states after the step, a row for each lane, as they came. "
+                + self._columns(),
             )
         if h_s is None or self.takes_step or bool((h_s == self.timestep_s).all()):
             return after
         return np.asarray(state + (h_s / self.timestep_s)[:, None] * (after - state))
+
+    def _columns(self) -> str:
+        """What stands in the columns of a state and of commands, in words."""
+        if self.joints == 1:
+            return (
+                "state[:, 0] is the position, state[:, 1] the velocity, command[:, 0] the command."
+            )
+        return (
+            f"state[:, :{self.joints}] are the positions of the joints, "
+            f"state[:, {self.joints}:{self.motion}] their velocities, command[:, 0] the command of "
+            "the first."
+        )
 
     def checked(self) -> Simulator:
         """This simulator, once it is seen to do what the search relies on. Raises BadSimulator."""

@@ -207,9 +207,14 @@ class SimulatedStep:
         each."""
         if len(self.sizes) == 1:
             return np.asarray(accelerations / (inverse_mass[:, 0] * self.sizes))
-        return np.asarray(np.linalg.solve(inverse_mass, accelerations[..., None])[..., 0]) / (
-            self.sizes
-        )
+        try:
+            forces = np.linalg.solve(inverse_mass, accelerations[..., None])
+        except np.linalg.LinAlgError:  # no force moves a lane that has run away
+            moves = (np.linalg.det(inverse_mass) != 0.0)[:, None, None]
+            forces = np.linalg.solve(
+                np.where(moves, inverse_mass, np.nan), accelerations[..., None]
+            )
+        return np.asarray(forces[..., 0] / self.sizes)
 
     def _gained(self, before: Array, after: Array, h_s: Array) -> Array:
         """The mean acceleration between states, `(lanes, joints)`."""
