@@ -11,6 +11,7 @@ from cyclopts import Parameter
 import trueup
 from trueup.artifact.model import Model, load
 from trueup.errors import NotExportable
+from trueup.export.configuration import as_forces
 from trueup.export.targets import FORMATS, TARGETS, Asked, export
 from trueup.model.mjcf_check import differences
 from trueup_cli.options import Json
@@ -84,7 +85,7 @@ def convert(
     say("{}: {}, artifact {}", to, fetched.plant.name, fetched.digest[:12])
     chosen = target or FORMATS.get(to.suffix)
     if chosen in PER_INERTIA and inertia is None and fetched.plant.form.per_inertia:
-        say("forces are per unit of inertia: --inertia makes newton metres of them")
+        say("forces are per unit of inertia: {}", as_forces(fetched.plant))
     for x in left:
         say("not expressed: {}", x)
     for d in apart:

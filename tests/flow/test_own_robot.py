@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import trueup
+from trueup.errors import NotExportable
 
 STEP_S, SAMPLES, LATE = 0.02, 200, 3
 TRUTH = {"gain_pan": 30.0, "gain_tilt": 24.0, "spring": 33.0, "damping": 2.0}
@@ -67,4 +68,10 @@ def test_its_model_predicts_both_joints_and_leaves_as_actuators(answer, tmp_path
     answer.export(tmp_path / "actuators.py", "isaaclab", step_s=0.005)
     text = (tmp_path / "actuators.py").read_text()
     assert "max_delay=12" in text
-    assert "must hold the joints' inertias at rest and what gravity" in " ".join(text.split())
+    said = " ".join(text.split())
+    assert "must hold the joints' inertias at rest and what gravity" in said
+    assert "multiply each joint's by its own" in said
+    with pytest.raises(NotExportable, match="several joints"):
+        answer.export(tmp_path / "other.py", "isaaclab", inertia=0.1)
+    with pytest.raises(NotExportable, match="has no MJCF"):
+        answer.export(tmp_path / "camera.xml")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from math import ceil, floor
 
 from trueup.export.joint_drive import Drives, Ranged
+from trueup.model.plant import Plant
 
 DIGITS = 6  # of a number in a file
 WIDTH = 96
@@ -29,6 +30,13 @@ class Entry:
     offset: float
 
 
+def as_forces(plant: Plant) -> str:
+    """How forces per unit of inertia become forces, in words."""
+    if len(plant.joints) == 1:
+        return "give the joint's with --inertia, or multiply them"
+    return "multiply each joint's by its own, or let the simulator take `force`"
+
+
 def heading(drives: Drives, version: str, more: Sequence[str]) -> list[str]:
     """Where a file comes from, and what is not certain, in lines."""
     lines = [f"{drives.plant.name}, artifact {drives.digest}, written by trueup {version}."]
@@ -39,8 +47,7 @@ def heading(drives: Drives, version: str, more: Sequence[str]) -> list[str]:
     if drives.inertia is not None:
         lines += ["", *_wrapped(f"Forces are for an inertia of {drives.inertia:g}.")]
     elif drives.is_per_inertia:
-        unit = "Forces are per unit of inertia: give the joint's with --inertia, or multiply them."
-        lines += ["", *_wrapped(unit)]
+        lines += ["", *_wrapped(f"Forces are per unit of inertia: {as_forces(drives.plant)}.")]
     if drives.gravity:
         lines += [
             "",
