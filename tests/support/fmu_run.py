@@ -1,6 +1,7 @@
 """Runs a functional mock-up unit by FMPy in a process of its own, for a unit brings its own Python:
 `python fmu_run.py UNIT GIVEN.npz SEEN.npy`."""
 
+import os
 import sys
 
 import fmpy
@@ -39,3 +40,5 @@ def run(path, given):
 
 if __name__ == "__main__":
     np.save(sys.argv[3], run(sys.argv[1], np.load(sys.argv[2])))
+    sys.stdout.flush()
+    os._exit(0)  # the unit's own Python is taken down in no order: now and then that aborts
