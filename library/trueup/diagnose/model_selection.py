@@ -17,7 +17,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import singledispatch
 
 import numpy as np
 
@@ -28,10 +27,8 @@ from trueup.diagnose.tuning import SELECTION
 from trueup.episode.episode import Episode, is_physical
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.block import kind
-from trueup.model.dynamics import CompiledTree, Dynamics
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
-from trueup.model.simulator.dynamics import SimulatedDynamics
 from trueup.numbers import number, required
 
 
@@ -98,22 +95,9 @@ def selection_criteria(plant: Plant, episodes: Sequence[Episode]) -> SelectionCr
 
     Asked once in a diagnosis, of the episodes that it fits and compares on.
     """
-    return PHYSICAL if is_physical(episodes) else _simulated(plant.dynamics)
-
-
-@singledispatch
-def _simulated(_: Dynamics) -> SelectionCriteria:
-    return SIMULATED
-
-
-@_simulated.register
-def _simulated_robot(_: CompiledTree) -> SelectionCriteria:
-    return ROBOT
-
-
-@_simulated.register
-def _of_simulator(dynamics: SimulatedDynamics) -> SelectionCriteria:
-    return SIMULATED if dynamics.joints == 1 else ROBOT
+    if is_physical(episodes):
+        return PHYSICAL
+    return ROBOT if plant.form.of_robot else SIMULATED
 
 
 class Conclusion(StrEnum):

@@ -9,12 +9,9 @@ where they show most, windows are as long as predictions, and their starts are f
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import singledispatch
 
 from trueup.diagnose.model_selection import SelectionCriteria
-from trueup.model.dynamics import CompiledFamily, CompiledTree, Dynamics
 from trueup.model.plant import Plant
-from trueup.model.simulator.dynamics import SimulatedDynamics
 
 MANY_JOINTS = 4  # from so many on, a fit takes so long that fewer are made
 PAIR = 2  # effects
@@ -81,21 +78,10 @@ class Strategy:
 
 def strategy_for(plant: Plant, criteria: SelectionCriteria) -> Strategy:
     """The strategy for a plant whose episodes are judged by some criteria."""
-    return _strategy(plant.dynamics, criteria)
+    return _of_robot(len(plant.joints), criteria) if plant.form.of_robot else _of_joint(criteria)
 
 
-@singledispatch
-def _strategy(dynamics: Dynamics, _: SelectionCriteria) -> Strategy:
-    raise TypeError(type(dynamics).__name__)
-
-
-@_strategy.register
-def _of_simulator(dynamics: SimulatedDynamics, criteria: SelectionCriteria) -> Strategy:
-    return (_of_joint if dynamics.joints == 1 else _of_robot)(dynamics, criteria)
-
-
-@_strategy.register(CompiledFamily)
-def _of_joint(_: Dynamics, criteria: SelectionCriteria) -> Strategy:
+def _of_joint(criteria: SelectionCriteria) -> Strategy:
     return Strategy(
         effort=ONE_JOINT,
         robot=False,
@@ -110,10 +96,9 @@ def _of_joint(_: Dynamics, criteria: SelectionCriteria) -> Strategy:
     )
 
 
-@_strategy.register(CompiledTree)
-def _of_robot(dynamics: Dynamics, criteria: SelectionCriteria) -> Strategy:
+def _of_robot(joints: int, criteria: SelectionCriteria) -> Strategy:
     return Strategy(
-        effort=ROBOT if dynamics.joints < MANY_JOINTS else LARGE_ROBOT,
+        effort=ROBOT if joints < MANY_JOINTS else LARGE_ROBOT,
         robot=True,
         thorough=not criteria.of_machine,
         held_starts=False,

@@ -76,7 +76,7 @@ class Rollouts:
         self.form = form
         self.block = form.block
         self.of_tree = form.of_tree
-        self.of_robot = form.moves_together
+        self.of_robot = form.of_robot
         self.joints = form.block.joints
         self.directions = directions
         self.scales = tuple(scales)

@@ -60,7 +60,7 @@ class Form:
         return self.family == TREE_FORM
 
     @property
-    def moves_together(self) -> bool:
+    def of_robot(self) -> bool:
         """Whether its joints move each other: a robot's tree, or a simulator of several joints."""
         return self.of_tree or self.block.joints > 1
 
