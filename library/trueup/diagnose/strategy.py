@@ -78,7 +78,8 @@ class Strategy:
 
 def strategy_for(plant: Plant, criteria: SelectionCriteria) -> Strategy:
     """The strategy for a plant whose episodes are judged by some criteria."""
-    return _of_robot(len(plant.joints), criteria) if plant.form.of_robot else _of_joint(criteria)
+    dynamics = plant.dynamics
+    return _of_robot(dynamics.joints, criteria) if dynamics.form.of_robot else _of_joint(criteria)
 
 
 def _of_joint(criteria: SelectionCriteria) -> Strategy:

@@ -212,8 +212,7 @@ def _sides_of_simulator(
     undriven = data.u.copy()
     undriven[:, joint] = 0.0
     passive = dynamics.acceleration(numbers, states, undriven)[:, joint]
-    driven = own - passive
-    return data.a[:, joint], np.column_stack([driven, passive]), ["command", "passive"]
+    return data.a[:, joint], np.column_stack([own - passive, passive]), ["command", "passive"]
 
 
 @_sides.register

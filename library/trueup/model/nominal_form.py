@@ -43,14 +43,13 @@ def _simulator(nominal: Reader) -> tuple[Dynamics, tuple[float, ...]]:
     # in the order of their names, as canonical JSON has them
     parameters = {key: given.number(key) for key in sorted(given.value)}
     begins = nominal.numbers("begins") if "begins" in nominal.value else []
-    joints = nominal.names("joints") if "joints" in nominal.value else ["joint"]
+    names = tuple(nominal.names("joints")) if "joints" in nominal.value else (None,)
     nominal.no_more(
         "simulator", "sha256", "parameters", "begins", "joints", "timestep_s", "integrator"
     )
     step, timestep_s = step_at_hand(sha256, name), nominal.number("timestep_s", above=0.0)
-    declared = Simulator(name, step, parameters, timestep_s, tuple(begins), sha256, len(joints))
-    several = tuple(joints) if len(joints) > 1 else ()
-    dynamics = SimulatedDynamics(declared.checked(), several)
+    declared = Simulator(name, step, parameters, timestep_s, tuple(begins), sha256, names)
+    dynamics = SimulatedDynamics(declared.checked())
     dynamics.sizes(tuple(parameters.values()))  # raises where a force is taken and not used
     return dynamics, tuple(parameters.values())
 

@@ -281,7 +281,7 @@ def _joints_of_simulator(dynamics: SimulatedDynamics, layout: Layout) -> tuple[s
     if dynamics.joints == 1:
         return _joint_of_family(dynamics, layout)
     parameters = list(dynamics.simulator.parameters.values())
-    return _joints_of_robot(dynamics, parameters, dynamics.joint_names, layout)
+    return _joints_of_robot(dynamics, parameters, dynamics.simulator.names, layout)
 
 
 @_joints_of.register(CompiledFamily)
@@ -304,10 +304,9 @@ def _joints_of_tree(dynamics: CompiledTree, layout: Layout) -> tuple[str | None,
 
 
 def _joints_of_robot(
-    dynamics: Dynamics, parameters: Sequence[float], names: tuple[str, ...], layout: Layout
+    dynamics: Dynamics, parameters: Sequence[float], joints: tuple[str | None, ...], layout: Layout
 ) -> tuple[str | None, ...]:
     shown = {c.joint for c in layout.observations if c.field is Field.POSITION}
-    joints: tuple[str | None, ...] = names
     for field, channels in (("observations", layout.observations), ("commands", layout.commands)):
         seen: set[tuple[str | None, Field | None]] = set()
         for c in channels:

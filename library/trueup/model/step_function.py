@@ -30,7 +30,7 @@ from trueup.model.predictor import (
     Predictor,
     Residual,
 )
-from trueup.model.stepping import Columns
+from trueup.model.stepping import Columns, between
 
 State = Mapping[str, Any]  # by name
 POSITION, VELOCITY, TIME = "position", "velocity", "time"
@@ -219,8 +219,7 @@ class StepFunction:
         ]
         (q1, q0), (v1, v0) = (values[-2:] for values in moved)
         x = kept - self._sensors_late_s[j] / span
-        rest = (1.0 - x) * span * v0 - x * span * v1 + (1.0 - 2.0 * x) * (q0 - q1)
-        return (1.0 - x) * q0 + x * q1 + x * (1.0 - x) * rest, (1.0 - x) * v0 + x * v1
+        return between(x, span, (q0, v0), (q1, v1))
 
     def _older(self, j: int, q: Any, v: Any, state: State) -> dict[str, Any]:
         """The motion that a late sensor has still to show, a sample later."""

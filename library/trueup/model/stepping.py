@@ -14,7 +14,16 @@ from typing import Any
 from trueup.model.joint_effects import JointEffects, Memory
 
 Columns = Sequence[Any]  # one for each joint, `(n,)`
+Moved = tuple[Any, Any]  # a position and a velocity
 After = tuple[Columns, Columns, Sequence[dict[str, Any]]]  # positions, velocities, memories
+
+
+def between(x: Any, span_s: Any, before: Moved, after: Moved) -> Moved:
+    """Position and velocity at a part `x` of the time `span_s` [s] between two samples of both, by
+    the cubic that has their positions and velocities, and by a line."""
+    (q0, v0), (q1, v1) = before, after
+    rest = (1.0 - x) * span_s * v0 - x * span_s * v1 + (1.0 - 2.0 * x) * (q0 - q1)
+    return (1.0 - x) * q0 + x * q1 + x * (1.0 - x) * rest, (1.0 - x) * v0 + x * v1
 
 
 class Stepping(ABC):

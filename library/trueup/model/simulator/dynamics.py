@@ -25,7 +25,6 @@ class SimulatedDynamics(Dynamics):
     """Joints that a user's step function moves."""
 
     simulator: Simulator
-    joint_names: tuple[str, ...] = ()  # of several joints, in the order of a state
     name = "simulator"
 
     @property

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from trueup.model.simulator.run import Run
 from trueup.model.simulator.timeline import Acting
+from trueup.model.stepping import between
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -73,13 +74,12 @@ def seen_late(t_s: Array, at: Index, late_s: Array, passed: Callable[[Index], Ar
     cubic through the two samples around, which `passed` gives."""
     when = t_s[at] - late_s
     k = np.clip(np.searchsorted(t_s, when, side="right") - 1, 0, np.maximum(at - 1, 0))
-    (q0, v0), (q1, v1) = passed(k), passed(np.minimum(k + 1, at))
+    first, second = passed(k), passed(np.minimum(k + 1, at))
     span = np.where(at > 0, t_s[np.minimum(k + 1, at)] - t_s[k], 1.0)
-    x = (when - t_s[k]) / span
-    rest = (1.0 - x) * span * v0 - x * span * v1 + (1.0 - 2.0 * x) * (q0 - q1)
+    seen = between((when - t_s[k]) / span, span, (first[0], first[1]), (second[0], second[1]))
+    ahead = first[0] + (when - t_s[0]) * first[1], first[1]
     before = (when <= t_s[0]) | (at == 0)
-    q = np.where(before, q0 + (when - t_s[0]) * v0, (1.0 - x) * q0 + x * q1 + x * (1.0 - x) * rest)
-    return np.stack([q, np.where(before, v0, (1.0 - x) * v0 + x * v1)])
+    return np.stack([np.where(before, a, b) for a, b in zip(ahead, seen, strict=True)])
 
 
 def _late(run: Run, joint: int, states: Array, follows: Followed | None) -> Array:

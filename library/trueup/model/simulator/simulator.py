@@ -41,7 +41,7 @@ NAMES = ("state", "command", "parameters", "force", "h_s")
 class Simulator:
     """A user's step function. `parameters` are its numbers and what they are in the nominal model,
     `timestep_s` [s] the length of its step, `begins` the values with which hidden states begin,
-    `joints` how many it moves; `sha256` names its text."""
+    `names` those of several joints, in the order of a state; `sha256` names its text."""
 
     name: str
     step: Step
@@ -49,7 +49,12 @@ class Simulator:
     timestep_s: float
     begins: tuple[float, ...] = ()
     sha256: str = ""
-    joints: int = 1
+    names: tuple[str | None, ...] = (None,)
+
+    @property
+    def joints(self) -> int:
+        """How many joints it moves."""
+        return len(self.names)
 
     @property
     def motion(self) -> int:
