@@ -6,15 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support import windowed
 from tests.support.own_arm import JOINTS, numbers, own_arm, step
 from tests.support.robots import PERIOD_S, arm_document, arm_plant
 from trueup.errors import BadPlant, BadSimulator
-from trueup.model.block import BLOCK, term
+from trueup.model.block import term
 from trueup.model.effect import Port, effects
-from trueup.model.hypothesis import Hypothesis, Scales, begun, switches
+from trueup.model.hypothesis import Hypothesis, Scales
 from trueup.model.plant import Plant
-from trueup.model.roll import roll
-from trueup.model.series import Scheme, Series, integral_of
 from trueup.model.simulator.simulator import offer
 from trueup.model.simulator.step import SimulatedStep
 
@@ -29,46 +28,22 @@ def plants(tmp_path_factory):
     return own_arm(), arm_plant(tmp_path_factory.mktemp("arm"))
 
 
-def series_of(begins=0, every=70):
-    t = np.asarray(np.arange(SAMPLES) * PERIOD_S)
-    t.flags.writeable = False
+def series_of(begins=0):
+    t = np.arange(SAMPLES) * PERIOD_S
     u = np.stack([4.0 + 3.0 * np.sin(9.0 * t), 1.0 + np.sign(np.sin(20.0 * t))], axis=1)
-    resets = np.full(SAMPLES, -1)
-    resets[begins::every] = np.arange(len(resets[begins::every]))
-    windows = int((resets >= 0).sum())
-    steps = np.ones(SAMPLES, np.int64)
-    steps[-1] = 0
     noise = 0.01 * np.random.default_rng(1).normal(size=(SAMPLES, 4))
-    return Series(
-        "series", Scheme(0.5, 1), t, np.full(SAMPLES, PERIOD_S), steps, u, np.zeros_like(u),
-        integral_of(u, t), noise, np.ones((SAMPLES, 4), np.bool_), np.cumsum(resets >= 0) - 1,
-        resets, np.zeros((windows, 4)), np.zeros((windows, 4)), PERIOD_S, np.array([25.0, 25.0]),
-    )  # fmt: skip
+    return windowed.series_of(u, noise, PERIOD_S, [25.0, 25.0], begins, 70)
 
 
 def rolled(plant, terms, s, gain=None):
     """Terms with their numbers, with starts and pasts moved a little in some lanes."""
-    values = plant.block.nulls.copy()
-    values[: len(plant.parameters)] = plant.parameters
-    hypothesis = Hypothesis(tuple(terms))
-    for name in terms:
-        starts = effects()[name.partition("@")[0]].starts
-        begin = [0.5 * x for x in starts[len(starts) // 2]]
-        values = begun(plant.block, values, SIZES, name, begin)
-    p = np.repeat(values[:, None], BLOCK, axis=1)
-    init = 0.5 * np.random.default_rng(2).normal(size=(len(s.begin), 4, 1)) + np.zeros(BLOCK)
-    if gain is None:
-        init[:, 0, 1] += 1e-3
-        init[:, 3, 2] += 1e-3
-        for key, row in plant.block.memories.items():
-            p[row, 6] += 0.1 if key[0] in terms else 0.0
-    on, form = switches(hypothesis, 2), replace(plant.form, sizes=ONE_UNIT)
-    return roll(s, form, p, on, init, gain, 0 if gain is not None else 2)
+    form = replace(plant.form, sizes=ONE_UNIT)
+    return windowed.rolled(form, plant.parameters, Hypothesis(tuple(terms)), s, SIZES, gain)
 
 
 def named(effect):
     """Terms of an effect at the second joint; what acts on a whole log acts at the first."""
-    return [term(effect, 0 if effects()[effect].port is Port.TIMING else 1)] if effect else []
+    return [term(effect, 0 if effects()[effect].port is Port.TIMING else 1)]
 
 
 def apart(effect, expected, without):

@@ -235,9 +235,9 @@ class SimulatedStep:
         return self._gained(begin, self._moved(begin, none, h_s), h_s)
 
     def _undisturbed(self, state: Array, u: Array, h_s: Array, push: Array | None) -> Array:
-        """States a step later where nothing acts but a push: as a force, where the simulator takes
-        one."""
-        if push is not None and self.simulator.takes_force:
+        """States a step later where nothing acts but a push: of several joints as forces, where the
+        simulator takes them, for a force at one moves the others, too."""
+        if push is not None and self.simulator.joints > 1 and self.simulator.takes_force:
             return self._moved(state, u, h_s, push * self.sizes)
         moved = self._moved(state, u, h_s)
         if push is None:
