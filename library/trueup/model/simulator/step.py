@@ -142,8 +142,7 @@ class SimulatedStep:
         for _ in range(SWEEPS if len(rubs) > 1 else 1):
             for j in rubs:
                 slows = changes[j][:, joints + j]
-                with np.errstate(divide="ignore", invalid="ignore"):
-                    wanted = np.clip(shares[j] - v[:, j] / slows, -1.0, 1.0)
+                wanted = np.clip(shares[j] - v[:, j] / slows, -1.0, 1.0)
                 wanted = np.where(slows != 0.0, wanted, 1.0)
                 v += (wanted - shares[j])[:, None] * changes[j][:, velocities]
                 shares[j] = wanted
