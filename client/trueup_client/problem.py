@@ -49,3 +49,5 @@ class Problem(ClientError):
         self.facts: dict[str, Any] = document.get("facts", {})
         self.request_id: str | None = document.get("request_id")
         super().__init__(f"{self.code}: {self.detail}")
+        if self.hint:
+            self.add_note(f"hint: {self.hint}")  # a traceback ends with it

@@ -53,6 +53,7 @@ class TrueupError(Exception):
         self.hint = hint or type(self).hint
         self.facts = facts
         super().__init__(self.message)
+        self.add_note(f"hint: {self.hint}")  # a traceback ends with it
 
 
 @contextmanager

@@ -273,8 +273,9 @@ class _Simulator(_Reader):
             a = self._dynamics.acceleration(own, motion[:, : 2 * joints], motion[:, 2 * joints :])
             slopes.append(self._inertia * float(mass[j] @ (a[0] - a[1])) / (2.0 * NEAR_REST))
         by_q, by_v, by_u = slopes
-        servo = self._commands[j].field is Field.POSITION
-        return {"gain": by_u, "damping": -by_v, "servo": -by_q if servo else 0.0}
+        is_servo = self._commands[j].field is Field.POSITION
+        # what holds the joint beyond its servo is the asset's own spring or gravity
+        return {"gain": by_u, "damping": -by_v, "servo": min(by_u, -by_q) if is_servo else 0.0}
 
     def size(self, j: int) -> float:
         # what effects are measured by stays that of the nominal numbers

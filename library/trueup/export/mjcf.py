@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from trueup.errors import NotExportable
-from trueup.model.corrected import Corrected
+from trueup.model.corrected import TO_A_TARGET, Corrected
 from trueup.model.dynamics import CompiledFamily, Dynamics
 from trueup.model.mjcf import compile_file
 from trueup.model.mjcf_family import mjcf_of_joint
@@ -59,7 +59,7 @@ def _written_simulator(
 ) -> Written:
     raise NotExportable(
         f"{predictor.plant.name} is a simulator of your own: it has no MJCF to be written into",
-        hint="Take the corrected drives elsewhere: `trueup convert --target`, or answer.export().",
+        hint=TO_A_TARGET,
     )
 
 

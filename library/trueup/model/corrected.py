@@ -47,6 +47,9 @@ from trueup.model.windows import Windows
 
 Array = NDArray[np.float64]
 
+# what a simulator's corrections go into, where a form of the whole model is asked for
+TO_A_TARGET = "Take the corrected drives elsewhere: `trueup convert --target`, or answer.export()."
+
 
 @dataclass(frozen=True)
 class Corrected(Predictor):
@@ -229,7 +232,7 @@ def _stepping(_: Dynamics, model: Corrected) -> Stepping:
 def _stepping_of_simulator(_: SimulatedDynamics, model: Corrected) -> Stepping:
     raise NotExportable(
         f"{model.plant.name} is a simulator of your own: its step has no graph",
-        hint="Take the corrected drive elsewhere: `trueup convert --target`, or answer.export().",
+        hint=TO_A_TARGET,
     )
 
 

@@ -333,16 +333,16 @@ class _Guess:
             raise self._refused(
                 f"the log moves {len(joints)} joints, and a family describes one",
                 "joint",
-                f"Name one with --joint ({', '.join(joints)}), or describe the robot by an MJCF or "
-                "a URDF, which --model names, or by a simulator with `joints`.",
+                f"Name one with --joint (in Python joint=): {', '.join(joints)}. Or describe the "
+                "robot by an MJCF or a URDF, which --model names, or by a simulator with `joints`.",
             )
         return joints[0] if joints else None
 
     def _refused(self, what: str, field_: str, hint: str | None = None) -> BadMapping:
         option = {
-            "q": "--signal.q",
-            "v": "--signal.v",
-            "u": "--signal.u",
+            "q": "--signal.q (in Python q=)",
+            "v": "--signal.v (in Python v=)",
+            "u": "--signal.u (in Python u=)",
         }.get(field_, "--observation and --command")
         return BadMapping(
             f"{self._recording.name}: {what}",

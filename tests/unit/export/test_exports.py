@@ -251,3 +251,24 @@ def test_a_simulators_forces_are_those_of_the_inertia_that_was_found(inertia):
     found = [drive[name].value for name in ("gain", "damping", "friction")]
     assert found == pytest.approx([0.11, 0.012, 0.06], rel=2e-3)
     assert "inertia of 0.02" in drives.beside
+
+
+def test_a_simulators_spring_is_not_the_drives():
+    def step(state, command, parameters, h_s):
+        q, v = state.T
+        p = parameters
+        servo = p["kp"] * (command[:, 0] - q) - p["kd"] * v
+        v = v + h_s * (servo - p["spring"] * q)
+        return np.column_stack([q + h_s * v, v])
+
+    document = plant("position").document | {
+        "nominal": {
+            "simulator": "step",
+            "sha256": offer(step),
+            "parameters": {"kp": 30.0, "kd": 2.0, "spring": 8.0},
+            "timestep_s": 0.001,
+        },
+    }
+    (drive,) = drives_of(Nominal(Plant.from_document(document)), "0" * 64).drives
+    found = [drive[name].value for name in ("servo", "damping", "spring")]
+    assert found == pytest.approx([30.0, 2.0, 0.0], rel=2e-3)
