@@ -6,7 +6,7 @@ from trueup.model.block import BLOCK
 from trueup.model.effect import effects
 from trueup.model.hypothesis import begun, switches
 from trueup.model.roll import roll
-from trueup.model.series import Scheme, Series, integral_of
+from trueup.model.series import RolloutOf, Scheme, Series, integral_of
 
 FOLLOWING = 2  # lanes that begin each window with what the first remembers
 
@@ -31,8 +31,14 @@ def series_of(commands, observed, period_s, u_scale, begins=0, every=100):
 
 
 def rolled(form, parameters, hypothesis, s, sizes, gain=None, moved=()):
-    """Returns a rollout of a hypothesis whose starts, pasts and `moved` parameters are a little
-    off in some lanes; where a filter has a `gain`, in none."""
+    """Returns what is observed in the rollout that `asked` asks for."""
+    of = asked(form, parameters, hypothesis, s, sizes, gain, moved)
+    return roll(s, form, of.p, switches(hypothesis, form.block.joints), of.init, gain, of.starts)
+
+
+def asked(form, parameters, hypothesis, s, sizes, gain=None, moved=()):
+    """Returns what is asked of a rollout of a hypothesis whose starts, pasts and `moved` parameters
+    are a little off in some lanes; where a filter has a `gain`, in none."""
     block = form.block
     values = block.nulls.copy()
     values[: len(parameters)] = parameters
@@ -49,5 +55,4 @@ def rolled(form, parameters, hypothesis, s, sizes, gain=None, moved=()):
         p[list(moved), range(3, 3 + len(moved))] *= 1.01
         for key, row in block.memories.items():
             p[row, 6] += 0.1 if key[0] in hypothesis.effects else 0.0
-    on = switches(hypothesis, block.joints)
-    return roll(s, form, p, on, init, gain, 0 if gain is not None else FOLLOWING)
+    return RolloutOf(s, p, init, gain, 0 if gain is not None else FOLLOWING)

@@ -12,8 +12,9 @@ from trueup.errors import BadPlant, BadSimulator
 from trueup.fit.base_parameters import directions
 from trueup.fit.identify import identify
 from trueup.model.effect import Port, effects
-from trueup.model.hypothesis import Hypothesis, Scales
+from trueup.model.hypothesis import Hypothesis, Scales, switches
 from trueup.model.plant import Plant
+from trueup.model.roll import roll_each
 from trueup.model.simulator.simulator import Simulator, load_simulator, offer
 
 EXAMPLE = ROOT / "examples" / "own-simulator" / "pendulum.py"
@@ -70,18 +71,25 @@ COMPILED = Plant.from_document(
 )
 
 
-def series_of(begins=0, every=100):
-    t = np.arange(SAMPLES) * PERIOD_S
+def series_of(begins=0, every=100, samples=SAMPLES, period_s=PERIOD_S):
+    t = np.arange(samples) * period_s
     u = (4.0 * np.sin(2.0 * t) + 2.0 * np.sign(np.sin(5.0 * t)))[:, None]
-    noise = 0.01 * np.random.default_rng(1).normal(size=(SAMPLES, 2))
+    noise = 0.01 * np.random.default_rng(1).normal(size=(samples, 2))
     observed = np.column_stack([np.sin(t), np.cos(t)]) + noise
-    return windowed.series_of(u, observed, PERIOD_S, [6.0], begins, every)
+    return windowed.series_of(u, observed, period_s, [6.0], begins, every)
 
 
-def rolled(plant, hypothesis, s, gain=None):
+def rolled(plant, hypothesis, s, gain=None, rolled_by=windowed.rolled):
     """A hypothesis with its numbers, its starts and its past moved a little in some lanes."""
     moved = [plant.dynamics.parameter_names.index(n) for n in "kcb"]
-    return windowed.rolled(plant.form, plant.parameters, hypothesis, s, SIZES, gain, moved)
+    return rolled_by(plant.form, plant.parameters, hypothesis, s, SIZES, gain, moved)
+
+
+def filter_gain():
+    """Gains of a filter: nothing is corrected at first."""
+    gain = np.zeros((3, 1, 4, 2))
+    gain[1:, 0, [0, 1, 2, 3], [0, 1, 1, 1]] = 0.3, 0.3, 2.0, 0.2
+    return gain
 
 
 def recorded(seed):
@@ -112,13 +120,26 @@ def test_every_effect_acts_as_in_the_compiled_rollout(own, name, begins):
 
 @pytest.mark.parametrize("name", ["", *effects()])
 def test_a_filter_runs_ahead_of_windows_as_in_the_compiled_rollout(own, name):
-    gain = np.zeros((3, 1, 4, 2))
-    gain[1:, 0, [0, 1, 2, 3], [0, 1, 1, 1]] = 0.3, 0.3, 2.0, 0.2
     hypothesis, s = Hypothesis((name,) if name else ()), series_of()
     at_force = name and effects()[name].port in (Port.FORCE, Port.FRICTION)
     about = ABOUT.get(name, 5e-4 if at_force else 1e-12)
-    given, expected = (rolled(plant, hypothesis, s, gain) for plant in (own, COMPILED))
+    given, expected = (rolled(plant, hypothesis, s, filter_gain()) for plant in (own, COMPILED))
     np.testing.assert_allclose(given[:, :, :2], expected[:, :, :2], atol=about)
+
+
+@pytest.mark.parametrize("name", ["", *effects()])
+@pytest.mark.parametrize("gain", [None, filter_gain()], ids=["windows", "filter"])
+def test_episodes_side_by_side_are_rolled_out_as_each_alone(own, name, gain):
+    hypothesis = Hypothesis((name,) if name else ())
+    each = [
+        rolled(own, hypothesis, s, gain, windowed.asked)
+        for s in (series_of(), series_of(samples=180, period_s=2 * PERIOD_S), series_of(every=150))
+    ]
+    on = switches(hypothesis, 1)
+    together = roll_each(own.form, on, each, lambda _, out: out)
+    for given, one in zip(together, each, strict=True):
+        (alone,) = roll_each(own.form, on, [one], lambda _, out: out)
+        np.testing.assert_allclose(given, alone, rtol=0.0, atol=1e-12)
 
 
 def test_effects_together_act_as_in_the_compiled_rollout(own):

@@ -53,6 +53,23 @@ class _Filters:
         self.push = np.zeros((len(runs), self.joints))
         self.late_s = np.stack([r.late_s[:, 0] for r in runs])
         self.passed = np.zeros((int(self.samples[0]), len(runs), self.motion))
+        self._lay_out_steps()
+
+    def _lay_out_steps(self) -> None:
+        """The steps of all episodes side by side: the first from each sample on, `(samples + 1,
+        runs)`, and commands, lengths [s] and times [s] of each, `(steps, runs, …)`."""
+        shape = int(self.samples[0]) + 1, len(self.runs)
+        most = max(len(r.h_s) for r in self.runs)
+        self.first = np.zeros(shape, np.int64)
+        self.u = np.zeros((most, len(self.runs), self.joints))
+        self.h_s, self.begins_s = (np.zeros((most, len(self.runs))) for _ in range(2))
+        for r, run in enumerate(self.runs):
+            steps, first = len(run.h_s), run.timeline.first
+            self.first[: len(first), r], self.first[len(first) :, r] = first, first[-1]
+            self.u[:steps, r] = run.commands[:, :, 0]
+            self.h_s[:steps, r] = run.h_s[:, 0]
+            self.begins_s[:steps, r] = run.timeline.begins_s
+        self.most_steps = np.diff(self.first, axis=0).max(axis=1).tolist()
 
     def run(self) -> list[Followed]:
         """Follow all episodes to their ends."""
@@ -141,14 +158,11 @@ class _Filters:
 
     def _advance(self, i: int, many: int) -> None:
         """Step on to the next sample."""
-        now, behind = self._steps(i, many)
-        for k in range(int((behind - now).max(initial=0))):
-            on = np.flatnonzero(now + k < behind)
+        for k in range(self.most_steps[i]):
+            step_of = self.first[i, :many] + k
+            on = np.flatnonzero(step_of < self.first[i + 1, :many])
             lanes: Any = slice(None) if len(on) == many else on
-            steps = [(self.runs[int(j)], int(now[j]) + k) for j in on]
-            u = np.array([r.commands[i, :, 0] for r, i in steps])
-            h_s = np.array([r.h_s[i, 0] for r, i in steps])
-            t_s = np.array([r.timeline.begins_s[i] for r, i in steps])
+            u, h_s, t_s = (x[step_of[on], on] for x in (self.u, self.h_s, self.begins_s))
             step = self.step if len(on) == many else self.step.at(lanes)
             memory = {key: value[lanes] for key, value in self.memory.items()}
             after, memory = step.advance(self.state[lanes], u, h_s, t_s, memory, self.push[lanes])
@@ -160,10 +174,3 @@ class _Filters:
             for key, value in memory.items():
                 self.memory[key] = self.memory[key].copy()
                 self.memory[key][lanes] = value
-
-    def _steps(self, i: int, many: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """The steps from a sample on, and those behind the next."""
-        firsts = [r.timeline.first for r in self.runs[:many]]
-        now = np.array([first[i] for first in firsts])
-        behind = np.array([first[min(i + 1, len(first) - 1)] for first in firsts])
-        return now, behind

@@ -51,12 +51,12 @@ class Simulator:
     sha256: str = ""
     names: tuple[str | None, ...] = (None,)
 
-    @property
+    @cached_property
     def joints(self) -> int:
         """How many joints it moves."""
         return len(self.names)
 
-    @property
+    @cached_property
     def motion(self) -> int:
         """How many columns of a state are positions and velocities."""
         return 2 * self.joints
@@ -83,7 +83,7 @@ class Simulator:
         `(lanes,)`, under commands and forces `(lanes, joints)`. Raises BadSimulator."""
         more: dict[str, Any] = {}
         if self.takes_force:
-            more["force"] = np.zeros_like(command) if force is None else force
+            more["force"] = np.zeros(command.shape) if force is None else force
         if self.takes_step:
             more["h_s"] = np.full(len(state), self.timestep_s) if h_s is None else h_s
         try:

@@ -30,7 +30,8 @@ Signals = dict[str, Any]  # of one joint, by name
 class SimulatedStep:
     """A simulator with its parameters `(lanes,)` by name, and the effects at its joints. `sizes`
     `(joints,)` is the force that gives each joint at rest a unit of acceleration, `u_scale`
-    `(joints,)` its command's declared limit, `asked` what the effects ask for."""
+    `(joints,)` its command's declared limit, `period_s` `(lanes,)` the log's, `asked` what the
+    effects ask for."""
 
     simulator: Simulator
     parameters: Mapping[str, Array]
@@ -39,7 +40,7 @@ class SimulatedStep:
     sizes: Array
     alpha: float
     u_scale: Array
-    period_s: float
+    period_s: Array
     asked: frozenset[str]
 
     def at(self, lanes: Any) -> SimulatedStep:
@@ -49,6 +50,7 @@ class SimulatedStep:
             parameters={name: x[lanes] for name, x in self.parameters.items()},
             forces=[one.at(lanes) for one in self.forces],
             frictions=[one.at(lanes) for one in self.frictions],
+            period_s=self.period_s[lanes],
         )
 
     @staticmethod
@@ -62,6 +64,7 @@ class SimulatedStep:
             frictions=[
                 Acting.side_by_side(x) for x in zip(*(s.frictions for s in steps), strict=True)
             ],
+            period_s=np.concatenate([s.period_s for s in steps]),
         )
 
     @property

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -31,10 +32,11 @@ KNOWN = {
     Port.FRICTION: {"q", "v", "h", "drive", "passive", "spring", "u", "u_scale", "t"},
     Port.OBSERVATION: {"q", "v", "t", "since", "period", "lag_s", "u_scale"},
 }  # fmt: skip
+NUMBERS, MEMORY, SIGNALS = range(3)  # where an argument of an effect stands
 SIGNAL = {Port.TIMING: "h", Port.COMMAND: "u", Port.FORCE: "a", Port.FRICTION: "level"}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Acting:
     """An effect that acts at a joint, with its numbers `(lanes,)` by name, and how far from its
     usual value each of its hidden states began."""
@@ -44,21 +46,27 @@ class Acting:
     numbers: Mapping[str, Array]
     began: Mapping[str, Array]
 
-    @property
+    @cached_property
     def keys(self) -> list[tuple[str, str]]:
         """What its hidden states are called among all: by its term, and their names."""
         at = term(self.effect.name, self.joint)
         return [(at, state) for state in self.effect.states]
 
+    @cached_property
+    def asks(self) -> list[tuple[int, Any]]:
+        """Where each argument stands, among the numbers, in what is remembered or among the
+        signals, and by which key."""
+        at = dict(zip(self.effect.states, self.keys, strict=True))
+        return [
+            (NUMBERS, x) if x in self.numbers else (MEMORY, at[x]) if x in at else (SIGNALS, x)
+            for x in self.effect.arguments()
+        ]
+
     def value(self, signals: Mapping[str, Any], memory: Mapping[Any, Any]) -> tuple[Any, ...]:
         """What the effect returns: its port's signal, then its states. Raises BadEffect."""
-        at, numbers = dict(zip(self.effect.states, self.keys, strict=True)), self.numbers
-        given = (
-            numbers[x] if x in numbers else memory[at[x]] if x in at else signals[x]
-            for x in self.effect.arguments()
-        )
+        tables = self.numbers, memory, signals
         try:
-            after = self.effect.apply(*given)
+            after = self.effect.apply(*[tables[table][key] for table, key in self.asks])
         except ValueError as error:
             raise BadEffect(
                 f"{self.effect.name} does not run on arrays: {error}",
@@ -150,51 +158,83 @@ class Timeline:
 
 
 def commanded(
-    s: Series, timeline: Timeline, acting: Sequence[Acting], lanes: int
-) -> tuple[Array, Array]:
-    """The commands that reach the joints in each step `(steps, joints, lanes)`, and its length [s]
-    `(steps, lanes)`."""
-    shape = len(timeline.h_s), lanes
-    signals: dict[str, Any] = {
-        "h": np.broadcast_to(timeline.h_s[:, None], shape),
-        "t": timeline.begins_s[:, None],
-        "period": s.period_s,
-        "implicit": 1.0 - 2.0 * s.scheme.alpha,
-    }
-    for one in acting:
-        if one.effect.port is Port.TIMING:  # one clock for all joints
-            signals["h"] = _in_turn(one, signals, s, lanes)
-    h_s = np.asarray(np.broadcast_to(signals["h"], shape))
-    joints = s.issued.shape[1]
-    commands = np.empty((shape[0], joints, lanes))
+    series: Sequence[Series],
+    timelines: Sequence[Timeline],
+    acting: Sequence[Sequence[Acting]],
+    lanes: int,
+) -> list[tuple[Array, Array]]:
+    """For each series, of which the same effects are `acting`, the commands that reach the joints
+    in each step `(steps, joints, lanes)`, and its length [s] `(steps, lanes)`."""
+    shapes = [(len(timeline.h_s), lanes) for timeline in timelines]
+    signals: list[dict[str, Any]] = [
+        {
+            "h": np.broadcast_to(timeline.h_s[:, None], shape),
+            "t": timeline.begins_s[:, None],
+            "period": s.period_s,
+            "implicit": 1.0 - 2.0 * s.scheme.alpha,
+        }
+        for s, timeline, shape in zip(series, timelines, shapes, strict=True)
+    ]
+
+    def act(port: Port, joints: Sequence[int]) -> None:
+        for each in zip(*acting, strict=True):
+            first = each[0]
+            if first.effect.port is port and first.joint in joints and not first.effect.delays():
+                for now, after in zip(signals, _in_turn(each, signals, series, lanes), strict=True):
+                    now[SIGNAL[port]] = after
+
+    joints = series[0].issued.shape[1]
+    act(Port.TIMING, range(joints))  # one clock for all joints
+    commands = [np.empty((shape[0], joints, lanes)) for shape in shapes]
     for j in range(joints):
-        at_joint = [one for one in acting if one.joint == j]
-        late_s, past = _late(s, j, at_joint, lanes)
-        signals["u_scale"] = float(s.u_scale[j])
-        signals["u"] = _delayed(s, timeline, j, late_s, past)
-        for one in at_joint:
-            if one.effect.port is Port.COMMAND and not one.effect.delays():
-                signals["u"] = _in_turn(one, signals, s, lanes)
-        commands[:, j] = signals["u"]
-    return commands, h_s
+        for s, timeline, each, now in zip(series, timelines, acting, signals, strict=True):
+            late_s, past = _late(s, j, [one for one in each if one.joint == j], lanes)
+            now["u_scale"] = float(s.u_scale[j])
+            now["u"] = _delayed(s, timeline, j, late_s, past)
+        act(Port.COMMAND, [j])
+        for into, now in zip(commands, signals, strict=True):
+            into[:, j] = now["u"]
+    lengths = [
+        np.asarray(np.broadcast_to(now["h"], shape))
+        for now, shape in zip(signals, shapes, strict=True)
+    ]
+    return list(zip(commands, lengths, strict=True))
 
 
-def _in_turn(one: Acting, signals: Mapping[str, Any], s: Series, lanes: int) -> Array:
-    """An effect's signal after it has acted in every step, one after the other where it
-    remembers."""
-    if not one.effect.states:
-        return np.asarray(one.value(signals, {})[0])
-    memory = one.begin(s.issued[0, one.joint], lanes)
-    signal = signals[SIGNAL[one.effect.port]]
-    after = np.empty(np.broadcast_shapes(np.shape(signal), (1, lanes)))
-    changing = [k for k, x in signals.items() if np.ndim(x) == 2]  # noqa: PLR2004  (steps by lanes)
-    now = dict(signals)
+def _in_turn(
+    each: Sequence[Acting],
+    signals: Sequence[Mapping[str, Any]],
+    series: Sequence[Series],
+    lanes: int,
+) -> list[Array]:
+    """An effect's signal in each series after it has acted in every step; one step after the other
+    where it remembers, of all series side by side."""
+    if not each[0].effect.states:
+        return [np.asarray(one.value(x, {})[0]) for one, x in zip(each, signals, strict=True)]
+    one = Acting.side_by_side(each)
+    memories = [x.begin(s.issued[0, x.joint], lanes) for x, s in zip(each, series, strict=True)]
+    memory = {key: np.concatenate([m[key] for m in memories]) for key in one.keys}
+    counts = [len(x[SIGNAL[one.effect.port]]) for x in signals]
+    changing = {
+        key: _side_by_side([x[key] for x in signals], counts, lanes)
+        for stands, key in one.asks
+        if stands == SIGNALS
+    }
+    after = np.empty((max(counts), len(each) * lanes))
     for i in range(len(after)):
-        for k in changing:
-            now[k] = signals[k][i]
-        after[i], *states = one.value(now, memory)
+        after[i], *states = one.value({key: x[i] for key, x in changing.items()}, memory)
         memory = dict(zip(one.keys, states, strict=True))
-    return after
+    return [after[:n, k * lanes : (k + 1) * lanes] for k, n in enumerate(counts)]
+
+
+def _side_by_side(each: Sequence[Any], counts: Sequence[int], lanes: int) -> Array:
+    """Signals of several series `(steps, lanes)`, or what broadcasts to it, in lanes side by side;
+    the last of a shorter one is repeated."""
+    out = np.empty((max(counts), len(each), lanes))
+    for k, (x, n) in enumerate(zip(each, counts, strict=True)):
+        out[:n, k] = x
+        out[n:, k] = out[n - 1, k]
+    return out.reshape(len(out), len(each) * lanes)
 
 
 def sensor_is_late(one: Acting, joints: int) -> bool:
