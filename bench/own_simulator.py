@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
@@ -93,39 +93,70 @@ def answer(diagnosis: Diagnosis) -> str:
     return composition(diagnosis.document["effects"]) if verdict == "effect" else verdict
 
 
+@dataclass(frozen=True)
+class Compared:
+    """A machine that was diagnosed with a compiled model and with a simulator of one's own: what
+    each said, and the CPU time and the time [s] that each took."""
+
+    name: str
+    said: tuple[str, str]
+    cpu_s: tuple[float, float]
+    time_s: tuple[float, float]
+
+    @staticmethod
+    def of(name: str, *diagnosing: Callable[[], Diagnosis]) -> Compared:
+        """Diagnose with both, one after the other."""
+        said, cpu_s, time_s = [], [time.process_time()], [time.perf_counter()]
+        for work in diagnosing:
+            said.append(answer(work()))
+            cpu_s.append(time.process_time())
+            time_s.append(time.perf_counter())
+        first, second = said
+        spent = [tuple(b - a for a, b in pairwise(at)) for at in (cpu_s, time_s)]
+        it = Compared(name, (first, second), *spent)  # type: ignore[arg-type]
+        cpu, took = ("{:.1f} s and {:.1f} s".format(*pair) for pair in (it.cpu_s, it.time_s))
+        print(f"{name}: {first} | {second}, CPU {cpu}, time {took}", flush=True)
+        return it
+
+
+def show_compared(title: str, machines: Sequence[Compared]) -> None:
+    """Print what was compared."""
+    by_cpu = [m.cpu_s[1] / m.cpu_s[0] for m in machines]
+    by_time = [m.time_s[1] / m.time_s[0] for m in machines]
+    same = [m.said[0] == m.said[1] for m in machines]
+    rows = [
+        Figure(f"{m.name}: {m.said[0]}", f"{cpu:.1f} x CPU, {took:.1f} x time", m.said[1], is_same)
+        for m, cpu, took, is_same in zip(machines, by_cpu, by_time, same, strict=True)
+    ]
+    rows.append(Figure("the same answer", f"{sum(same)} of {len(same)}", "all", all(same)))
+    for what, ratios in (("CPU", by_cpu), ("time", by_time)):
+        for which, ratio in (("median", median(ratios)), ("largest", max(ratios))):
+            rows.append(
+                Figure(
+                    f"{what}, own / compiled, {which}",
+                    f"{ratio:.1f}",
+                    f"{WANTED:.0f}",
+                    ratio <= WANTED,
+                )
+            )
+    show(title, rows)
+
+
+def compared(name: str, plant: Plant, episodes: Sequence[Episode]) -> Compared:
+    """A machine diagnosed with its family and with the same law as a simulator."""
+    compiled = []
+
+    def by_family() -> Diagnosis:
+        compiled.append(diagnose(plant, episodes))
+        return compiled[0]
+
+    def by_own() -> Diagnosis:
+        own = as_simulator(plant, compiled[0].search.problem.scheme)
+        return diagnose(own, [replace(e, layout=own.layout) for e in episodes])
+
+    return Compared.of(name, by_family, by_own)
+
+
 def main() -> None:
     """Diagnose each machine with both."""
-    same, ratios, rows = 0, [], []
-    for name, plant, episodes in cases():
-        seconds = [time.process_time()]
-        compiled = diagnose(plant, episodes)
-        seconds.append(time.process_time())
-        own = as_simulator(plant, compiled.search.problem.scheme)
-        by_own = diagnose(own, [replace(e, layout=own.layout) for e in episodes])
-        seconds = [b - a for a, b in pairwise([*seconds, time.process_time()])]
-        answers = answer(compiled), answer(by_own)
-        same += answers[0] == answers[1]
-        ratios.append(seconds[1] / seconds[0])
-        rows.append(
-            Figure(
-                f"{name}: {answers[0]}", f"{ratios[-1]:.1f} x", answers[1], answers[0] == answers[1]
-            )
-        )
-        print(
-            f"{name}: {answers[0]} | {answers[1]}, {seconds[0]:.1f} s and {seconds[1]:.1f} s",
-            flush=True,
-        )
-    total = len(ratios)
-    rows.append(Figure("the same answer", f"{same} of {total}", "all", same == total))
-    rows.append(
-        Figure(
-            "CPU time, own / compiled, median",
-            f"{median(ratios):.1f}",
-            f"{WANTED:.0f}",
-            median(ratios) <= WANTED,
-        )
-    )
-    rows.append(
-        Figure("the same, largest", f"{max(ratios):.1f}", f"{WANTED:.0f}", max(ratios) <= WANTED)
-    )
-    show("Own-simulator", rows)
+    show_compared("Own-simulator", [compared(*case) for case in cases()])
