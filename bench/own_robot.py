@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bench.own_simulator import Compared, show_compared
+from bench.own_simulator import Compared, Timed, show_compared
 from tests.support.own_arm import own_arm
 from tests.support.robots import arm_plant, recorded
 from trueup.diagnose.diagnosis import diagnose
@@ -38,16 +37,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         plants = arm_plant(Path(folder)), own_arm()
         diagnose(plants[0], recorded(plants[0], _friction, range(5), ROLES, 1.0))  # compiles
-        show_compared(
-            "Own-robot",
-            [
-                Compared.of(
-                    name,
-                    *(
-                        partial(diagnose, plant, recorded(plant, change, range(5), ROLES))
-                        for plant in plants
-                    ),
-                )
-                for name, change in MACHINES.items()
-            ],
-        )
+        machines = []
+        for name, change in MACHINES.items():
+            by_mjcf, own = (Timed.of(p, recorded(p, change, range(5), ROLES)) for p in plants)
+            machines.append(Compared(name, by_mjcf, own).told())
+    show_compared("Own-robot", machines)

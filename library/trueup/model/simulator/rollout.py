@@ -33,7 +33,7 @@ from trueup.model.simulator.timeline import Acting, Timeline, acting_at, command
 Array = NDArray[np.float64]
 
 # Short calls of numpy, or of an ONNX runtime, in two threads wait for Python's lock more than they
-# gain: on two cores a diagnosis took 1.13 to 1.18 times as long, and 1.2 to 1.3 times the CPU.
+# gain: on two cores a diagnosis took 1.1 to 1.2 times as long, and 1.2 to 1.3 times the CPU.
 _ONE_AT_A_TIME = Lock()
 
 
