@@ -50,7 +50,7 @@ def service(
 ) -> Iterator[Service]:
     """A running server with a worker, for all tests of a file. Each test uses its own plants.
 
-    It ends with the file, because even an idle worker takes a twentieth of a core.
+    It ends with the file, so that each file begins with an empty log.
     """
     data = tmp_path_factory.mktemp("service")
     storage = (

@@ -1,5 +1,5 @@
-"""The job queue: a few calls to the job engine, which enqueue in the caller's transaction and share
-parts of a running job among workers.
+"""The job queue: a few calls to the job engine, which enqueue in the caller's transaction, and
+spread the parts of a running job over all workers.
 
 DBOS keeps its queue in the database of the registry, so that a job and its engine entry commit
 together. It is imported on first use: a server that only serves never loads it.
@@ -8,13 +8,16 @@ together. It is imported on first use: a server that only serves never loads it.
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from enum import StrEnum
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import Connection, Engine, make_url
+from sqlalchemy import Connection, Engine, make_url, text
+
+from trueup.canonical import Json
 
 if TYPE_CHECKING:
     from trueup_service.engine import DBOSClient, EnqueueOptions
@@ -22,39 +25,45 @@ if TYPE_CHECKING:
 QUEUE = "trueup"
 # Looks at new episodes take milliseconds, and must not wait for a diagnosis.
 WATCHING = "trueup.watching"
+# Parts of jobs run on one core each, beside the job that waits for them.
+PARTS = "trueup.parts"
 WORKFLOW = "trueup.job"
-HELP = "trueup.help"
-AFTER_JOBS = 1  # the priority of parts of jobs: a waiting job is begun first
+PART = "trueup.part"
+PART_PREFIX = "part."  # of a part's name; the job's id and the digest of what is asked follow
 # Of what is queued, not of the code: a new release must take up what an old one queued.
 ENGINE_VERSION = "1"
+# A PostgreSQL channel on which sleeping workers hear of a new job.
+CHANNEL = "trueup_jobs"
+SUCCEEDED = ("SUCCESS", "CANCELLED")
+FAILED = ("ERROR", "MAX_RECOVERY_ATTEMPTS_EXCEEDED")
+DELETED_AT_ONCE = 500  # entries of the engine in one transaction
 
 
-class Helped(StrEnum):
+class PartState(StrEnum):
     """The state of a part of a job."""
 
-    WAITING = "waiting"
-    TAKEN = "taken"
+    UNDER_WAY = "under way"
     DONE = "done"
     FAILED = "failed"
 
     @staticmethod
-    def of(status: str) -> Helped:
+    def of(status: str) -> PartState:
         """The state for a status of the engine."""
         known = {
-            "ENQUEUED": Helped.WAITING,
-            "DELAYED": Helped.WAITING,
-            "PENDING": Helped.TAKEN,
-            "SUCCESS": Helped.DONE,
+            "ENQUEUED": PartState.UNDER_WAY,
+            "DELAYED": PartState.UNDER_WAY,
+            "PENDING": PartState.UNDER_WAY,
+            "SUCCESS": PartState.DONE,
         }
-        return known.get(status, Helped.FAILED)
+        return known.get(status, PartState.FAILED)
 
 
 @dataclass(frozen=True, slots=True)
-class Help:
-    """One part of a job as it stands, with the result of its worker."""
+class Part:
+    """A part of a job as it stands, with its answer once it is done."""
 
-    state: Helped
-    answer: str | None
+    state: PartState
+    answer: Any
 
 
 class JobQueue:
@@ -82,6 +91,7 @@ class JobQueue:
         if (alone := alone_with(kind, plant)) is not None:
             options["queue_partition_key"] = alone
         self._client.enqueue_in_transaction(connection, options, job)
+        self._notify(connection)
 
     def knows(self, job: str) -> bool:
         """Whether the engine has an entry of a job."""
@@ -89,43 +99,94 @@ class JobQueue:
             self._client.list_workflows(workflow_ids=[job], load_input=False, load_output=False)
         )
 
-    def ask_for_help(self, job: str, parcels: Mapping[str, str]) -> None:
-        """Queue parts of a running job by name, for workers that have nothing else to do. A part
+    def spread(self, job: str, parts: Mapping[str, Json]) -> None:
+        """Queue parts of a running job by name, for whichever worker has a core to spare. A part
         that is queued already stays as it is."""
+        if not parts:
+            return
         with self._engine.begin() as connection:
-            for name, parcel in parcels.items():
+            for name, asked in parts.items():
                 options: EnqueueOptions = {
-                    "workflow_name": HELP,
-                    "queue_name": QUEUE,
+                    "workflow_name": PART,
+                    "queue_name": PARTS,
                     "workflow_id": name,
                     "app_version": ENGINE_VERSION,
-                    "priority": AFTER_JOBS,
                 }
-                self._client.enqueue_in_transaction(connection, options, job, parcel)
+                self._client.enqueue_in_transaction(connection, options, job, asked)
+            self._notify(connection)
 
-    def help(self, names: Sequence[str]) -> dict[str, Help]:
-        """The parts of these names as they stand. A part that is missing was withdrawn."""
-        workflows = self._client.list_workflows(workflow_ids=list(names), load_input=False)
-        return {w.workflow_id: Help(Helped.of(w.status), w.output) for w in workflows}
+    def parts(self, names: Sequence[str]) -> dict[str, Part]:
+        """The parts of these names as they stand. One that nobody queued, or that was removed, is
+        missing."""
+        states = {
+            w.workflow_id: PartState.of(w.status)
+            for w in self._client.list_workflows(
+                workflow_ids=list(names), load_input=False, load_output=False
+            )
+        }
+        done = [name for name, state in states.items() if state is PartState.DONE]
+        answers = {
+            w.workflow_id: w.output
+            for w in (
+                self._client.list_workflows(workflow_ids=done, load_input=False) if done else ()
+            )
+        }
+        return {name: Part(state, answers.get(name)) for name, state in states.items()}
 
-    def withdraw(self, names: Sequence[str]) -> None:
-        """Cancel parts that are not needed any more."""
+    def resume(self, name: str) -> None:
+        """Queue a part again that the engine gave up on."""
+        self._client.resume_workflow(name, queue_name=PARTS)
+
+    def remove(self, names: Sequence[str]) -> None:
+        """Cancel parts that are not needed any more, and delete them."""
         if names:
             self._client.cancel_workflows(list(names))
-
-    def forget(self, prefix: str) -> None:
-        """Delete every part whose name begins with a prefix."""
-        if names := self.names(prefix):
-            self._client.delete_workflows(names)
+            self._client.delete_workflows(list(names))
 
     def names(self, prefix: str) -> list[str]:
-        """The names of all parts that begin with a prefix."""
+        """The names of all entries that begin with a prefix."""
         return [
             w.workflow_id
             for w in self._client.list_workflows(
                 workflow_id_prefix=prefix, load_input=False, load_output=False
             )
         ]
+
+    def purge(self, before: datetime, unfinished: Collection[str]) -> int:
+        """Delete the entries that ended before a time, with all that the engine keeps of them, and
+        return how many there were. Failed entries of jobs that are `unfinished` stay, because such
+        a job is tried again."""
+        count = 0
+        while names := self._ended(SUCCEEDED, before, DELETED_AT_ONCE):
+            self._client.delete_workflows(names)
+            count += len(names)
+        failed = [
+            name
+            for name in self._ended(FAILED, before)
+            if not any(job in name for job in unfinished)
+        ]
+        for begin in range(0, len(failed), DELETED_AT_ONCE):
+            self._client.delete_workflows(failed[begin : begin + DELETED_AT_ONCE])
+        return count + len(failed)
+
+    def _ended(
+        self, statuses: Sequence[str], before: datetime, limit: int | None = None
+    ) -> list[str]:
+        return [
+            w.workflow_id
+            for w in self._client.list_workflows(
+                status=list(statuses),
+                completed_before=before.isoformat(),
+                limit=limit,
+                load_input=False,
+                load_output=False,
+            )
+        ]
+
+    def _notify(self, connection: Connection) -> None:
+        """Wake sleeping workers once the transaction commits. On SQLite they see it commit."""
+        if connection.dialect.name == "postgresql":
+            connection.execute(text(f"NOTIFY {CHANNEL}"))
 
     @cached_property
     def _client(self) -> DBOSClient:

@@ -140,7 +140,31 @@ class Settings(BaseSettings):
         description="Time between looks for other processes' moves, while somebody waits [s].",
     )
     job_poll_interval_s: float = Field(
-        0.1, gt=0, description="Time between a worker's looks at the queue [s]."
+        0.1,
+        gt=0,
+        description="Time between a worker's looks at the queue while there are jobs [s]; "
+        "without any it sleeps until one is queued.",
+    )
+    job_attempts: int = Field(
+        5,
+        ge=1,
+        description="How often a job is begun whose process or worker dies at it; then it fails. "
+        "A worker that is stopped in order does not count.",
+    )
+    job_memory_limit_bytes: int | None = Field(
+        None,
+        ge=512 << 20,
+        description="Data that a process may hold that computes a job [bytes]; unset: what the "
+        "machine has. macOS does not enforce it.",
+    )
+    job_time_limit_s: float | None = Field(
+        None, gt=0, description="Time that a job, or a part of one, may take [s]; unset: any."
+    )
+    jobs_kept_s: float = Field(
+        604_800.0,
+        gt=0,
+        description="How long the job engine keeps its entries of jobs that have ended [s]; the "
+        "jobs themselves and their results stay.",
     )
     takeover_interval_s: float = Field(
         1.0, gt=0, description="Time between a worker's looks for dead workers [s]."

@@ -16,6 +16,7 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Mapping, Sequence
+from multiprocessing import forkserver
 from multiprocessing.reduction import DupFd
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,7 @@ PRELOADED = [
     "rich.table", "uvicorn", "uvloop",
     "trueup.gate.recompute", "trueup_client", "trueup_service.http.app",
     "trueup_service.http.serve", "trueup_service.authentication",
-    "trueup_service.logs", "trueup_worker.main",
+    "trueup_service.logs", "trueup_worker.main", "trueup_worker.run_job",
 ]  # fmt: skip
 _context = multiprocessing.get_context("forkserver")
 _context.set_forkserver_preload(PRELOADED)
@@ -45,8 +46,10 @@ class Forked:
     ) -> None:
         """`outputs` are the descriptors for its standard output and standard error."""
         passed = [_Descriptor(number) for number in outputs]
+        forkserver._forkserver.ensure_running()
+        address = forkserver._forkserver._forkserver_address
         self._process = _context.Process(
-            target=_run, args=(module, list(arguments), dict(environment), cwd, passed)
+            target=_run, args=(module, list(arguments), dict(environment), cwd, passed, address)
         )
         self._process.start()
         self.pid = self._process.pid
@@ -113,7 +116,11 @@ def _run(
     environment: dict[str, str],
     cwd: Path,
     outputs: Sequence[int],
+    address: str,
 ) -> None:
+    # The compute processes of a worker are forked from the process that this one was forked from.
+    forkserver._forkserver._forkserver_address = address
+    forkserver._forkserver.ensure_running = lambda: None
     for number, file in enumerate(outputs, 1):
         os.dup2(file, number)
         os.close(file)

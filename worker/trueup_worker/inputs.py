@@ -34,14 +34,16 @@ def read_episodes(
     plant: Plant,
     roles: Sequence[Role],
     progress: Callable[[float], None],
-    field: str = "episodes",
+    digests: Sequence[str] | None = None,
 ) -> list[Episode]:
-    """Returns the episodes that the job's request names in a field.
+    """Returns the episodes that the job's request names, or some of them by their `digests`.
 
     Raises RoleRefused if a role is not one of `roles`, and BadEpisode if the stored bytes are not
     what their digest names.
     """
-    digests: Any = job.request[field]
+    if digests is None:
+        named: Any = job.request["episodes"]
+        digests = named
     with writing(parts.database) as tx:
         tx.jobs.add_reads(job.id, digests, job.kind)
     episodes = []

@@ -11,6 +11,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
@@ -19,6 +20,7 @@ from types import TracebackType
 from typing import Any
 
 NO_ANSWER = "no-answer"
+ATTEMPTS = 2  # at a case, of which the second is in a new process
 # What a process needs to find its libraries and its cache.
 PASSED_ON = ("PATH", "HOME", "TMPDIR", "NUMBA_CACHE_DIR", "LANG")
 
@@ -29,7 +31,7 @@ class IsolatedProcess:
 
     def __init__(self, core: int) -> None:
         self._core = core
-        self._process = self._start()
+        self._process: subprocess.Popen[str] | None = None
 
     def _start(self) -> subprocess.Popen[str]:
         environment = {name: os.environ[name] for name in PASSED_ON if name in os.environ}
@@ -45,39 +47,34 @@ class IsolatedProcess:
             start_new_session=True,
         )
 
-    def __call__(self, folder: Path) -> Mapping[str, Any]:
-        """Diagnoses a case folder. A process that ends without an answer is started once more.
+    def __call__(self, folder: Path, limit_s: float | None = None) -> Mapping[str, Any]:
+        """Diagnoses a case folder, in a time limit [s]. A process that ends without an answer is
+        started once more.
 
         Returns `report`, `manifest` and `arrays` (base64), or `problem`; and `seconds`.
         """
-        answer = self._ask(folder)
-        if answer is None:
-            self._close()
-            self._process = self._start()
-            answer = self._ask(folder)
-        return answer or {
-            "problem": (
-                f"{NO_ANSWER}: the diagnosing process ended with code {self._process.wait()}"
-            ),
-            "seconds": 0.0,
-        }
+        for _ in range(ATTEMPTS):
+            process = self._process = self._process or self._start()
+            limit = threading.Timer(limit_s, process.kill) if limit_s is not None else None
+            if limit is not None:
+                limit.start()
+            answer = _asked(process, folder)
+            if limit is not None:
+                limit.cancel()
+            if answer is not None:
+                return answer
+            code = process.wait()
+            self.close()
+        problem = f"{NO_ANSWER}: the diagnosing process ended with code {code}"
+        return {"problem": problem, "seconds": 0.0}
 
-    def _ask(self, folder: Path) -> Mapping[str, Any] | None:
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        with suppress(BrokenPipeError):  # it has ended, and its answer is empty
-            self._process.stdin.write(json.dumps(str(folder.resolve())) + "\n")
-            self._process.stdin.flush()
-        try:
-            answer: dict[str, Any] = json.loads(self._process.stdout.readline())
-        except json.JSONDecodeError:
-            return None
-        return answer
-
-    def _close(self) -> None:
-        self._process.kill()
-        with suppress(BrokenPipeError), self._process:  # closes its pipes, and waits
-            pass
+    def close(self) -> None:
+        """Ends the process, if there is one."""
+        if self._process is not None:
+            self._process.kill()
+            with suppress(BrokenPipeError), self._process:  # closes its pipes, and waits
+                pass
+            self._process = None
 
     def __enter__(self) -> IsolatedProcess:
         return self
@@ -88,7 +85,30 @@ class IsolatedProcess:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._close()
+        self.close()
+
+
+def _asked(process: subprocess.Popen[str], folder: Path) -> Mapping[str, Any] | None:
+    """A process's answer, None where it ended before."""
+    assert process.stdin is not None
+    assert process.stdout is not None
+    with suppress(BrokenPipeError):  # it has ended, and its answer is empty
+        process.stdin.write(json.dumps(str(folder.resolve())) + "\n")
+        process.stdin.flush()
+    try:
+        answer: dict[str, Any] = json.loads(process.stdout.readline())
+    except json.JSONDecodeError:
+        return None
+    return answer
+
+
+def own_cores() -> list[int]:
+    """The numbers of the cores that this process may use."""
+    return (
+        sorted(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else list(range(os.cpu_count() or 1))
+    )
 
 
 def main() -> None:

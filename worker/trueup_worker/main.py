@@ -1,4 +1,5 @@
-"""One worker process: the job engine, the recovery of jobs, and the schedule."""
+"""One worker process: the job engine while there are jobs, the recovery of jobs, the schedule, and
+what is kept for a limited time."""
 
 from __future__ import annotations
 
@@ -9,21 +10,35 @@ import socket
 import sys
 import threading
 import uuid
+from contextlib import suppress
+from typing import Any
 
-from trueup.cores import one_arena
+from sqlalchemy.exc import SQLAlchemyError
+
 from trueup_service.engine import DBOS, DBOSConfig, DBOSPortableJSONSerializer, StepOptions
-from trueup_service.jobs import ENGINE_VERSION, HELP, QUEUE, WATCHING, WORKFLOW, plain_url
+from trueup_service.jobs import (
+    ENGINE_VERSION,
+    PART,
+    PARTS,
+    QUEUE,
+    WATCHING,
+    WORKFLOW,
+    plain_url,
+)
+from trueup_service.registry.transaction import writing
 from trueup_service.wiring import Parts
-from trueup_worker.fan_out import PREFIX
-from trueup_worker.liveness import liveness_of
-from trueup_worker.recovery import recover
-from trueup_worker.run_help import Helping
-from trueup_worker.run_job import compute, finish
+from trueup_worker.computing import Computing
+from trueup_worker.isolated_process import own_cores
+from trueup_worker.liveness import Liveness, liveness_of
+from trueup_worker.recovery import recover, require_held
 from trueup_worker.schedule import run_schedule
+from trueup_worker.sleeping import sleep_until_work
+from trueup_worker.tidying import run_tidying
 
 log = logging.getLogger("trueup.worker")
 
 WATCHED_AT_ONCE = 4  # a job begins when the queue is polled; one at a time would be ten a second
+DRAIN_S = 1  # that the engine waits for its workflows when it is ended; there are none
 # a minute of a lost database
 RETRIED: StepOptions = {
     "retries_allowed": True,
@@ -38,7 +53,6 @@ def work(parts: Parts, *, with_parent: bool = False) -> None:
 
     With `with_parent` it also ends when standard input closes, as it does when the parent dies.
     """
-    one_arena()
     name = f"{socket.gethostname()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
     liveness = liveness_of(parts)
     liveness.acquire(name)
@@ -47,24 +61,50 @@ def work(parts: Parts, *, with_parent: bool = False) -> None:
         signal.signal(number, lambda *_: stop.set())
     if with_parent:
         threading.Thread(target=_until_parent_is_gone, args=(stop,), daemon=True).start()
-    _launch(parts, name)
-    log.info("working", extra={"worker": name})
-    threading.Thread(
-        target=recover,
-        args=(parts.database, liveness, name, parts.settings.takeover_interval_s, stop),
-        daemon=True,
-    ).start()
     threading.Thread(
         target=run_schedule, args=(parts, parts.settings.schedule_interval_s, stop), daemon=True
     ).start()
-    stop.wait()
+    threading.Thread(target=run_tidying, args=(parts, stop), daemon=True).start()
+    computing = Computing(parts, name)
+    _register(computing)
+    threading.Thread(target=computing.warm_up, daemon=True).start()
+    parts.queue.prepare()  # a finished job may submit another in its own transaction
+    log.info("working", extra={"worker": name})
+    _work_and_sleep(parts, name, liveness, stop)
     log.info("stopping", extra={"worker": name})
-    DBOS.destroy(workflow_completion_timeout_sec=0)
+    with suppress(SQLAlchemyError), writing(parts.database) as tx:
+        tx.attempts.end_all(name)
     os._exit(0)  # another worker resumes a job under way
 
 
+def _work_and_sleep(parts: Parts, name: str, liveness: Liveness, stop: threading.Event) -> None:
+    while not stop.is_set():
+        sleep_until_work(parts.database, stop, lambda: require_held(liveness))
+        if stop.is_set():
+            return
+        _launch(parts, name)
+        recover(parts.database, liveness, name, parts.settings.takeover_interval_s, stop)
+        if not stop.is_set():
+            DBOS.destroy(workflow_completion_timeout_sec=DRAIN_S)
+
+
+def _register(computing: Computing) -> None:
+    """Names what the engine runs. Called once, since names stay while the engine is away."""
+
+    @DBOS.workflow(name=PART)  # type: ignore[untyped-decorator]
+    def part(job_id: str, asked: Any) -> dict[str, Any]:
+        entry = DBOS.workflow_id
+        answer = DBOS.run_step({"name": "part", **RETRIED}, computing.part, entry, job_id, asked)
+        return dict(answer)
+
+    @DBOS.workflow(name=WORKFLOW)  # type: ignore[untyped-decorator]
+    def job(job_id: str) -> str:
+        computed = DBOS.run_step({"name": "compute", **RETRIED}, computing.compute, job_id)
+        return str(DBOS.run_step({"name": "finish", **RETRIED}, computing.finish, job_id, computed))
+
+
 def _launch(parts: Parts, name: str) -> None:
-    parts.queue.prepare()  # a finished job may submit another in its own transaction
+    """Starts the engine. It resumes what it still has under this worker's name."""
     config: DBOSConfig = {
         "name": "trueup",
         "system_database_url": plain_url(parts.settings.sqlalchemy_url),
@@ -75,39 +115,17 @@ def _launch(parts: Parts, name: str) -> None:
         "run_migrations": False,
     }
     DBOS(config=config)
-    logging.getLogger("dbos").addFilter(_Withdrawn())
-
-    helping = Helping(parts)
-
-    @DBOS.workflow(name=HELP)  # type: ignore[untyped-decorator]
-    def help_with(job_id: str, offer: str) -> str:
-        return helping.answer(job_id, offer)  # it changes nothing, so a repetition needs no step
-
-    @DBOS.workflow(name=WORKFLOW)  # type: ignore[untyped-decorator]
-    def job(job_id: str) -> str:
-        computed = DBOS.run_step({"name": "compute", **RETRIED}, compute, parts, job_id)
-        return str(DBOS.run_step({"name": "finish", **RETRIED}, finish, parts, job_id, computed))
-
     DBOS.launch()
     every_s = parts.settings.job_poll_interval_s
-    DBOS.register_queue(
-        QUEUE, worker_concurrency=1, polling_interval_sec=every_s, on_conflict="always_update"
-    )
-    DBOS.register_queue(
-        WATCHING,
-        worker_concurrency=WATCHED_AT_ONCE,
-        partition_concurrency=1,  # over all workers, of one plant
-        polling_interval_sec=every_s,
-        on_conflict="always_update",
-    )
-
-
-class _Withdrawn(logging.Filter):
-    """Drops the engine's error about a batch that was withdrawn while a helper solved it."""
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        error = record.exc_info[1] if record.exc_info else ""
-        return f"workflow {PREFIX}" not in f"{record.getMessage()} {error}".lower()
+    at_once = {QUEUE: 1, PARTS: len(own_cores()), WATCHING: WATCHED_AT_ONCE}
+    for queue, concurrency in at_once.items():
+        DBOS.register_queue(
+            queue,
+            worker_concurrency=concurrency,
+            partition_concurrency=1 if queue == WATCHING else None,  # of one plant
+            polling_interval_sec=every_s,
+            on_conflict="always_update",
+        )
 
 
 def _until_parent_is_gone(stop: threading.Event) -> None:

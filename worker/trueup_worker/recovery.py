@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import os
 import threading
+import time
 from datetime import UTC, datetime
 
 from sqlalchemy.exc import IntegrityError
@@ -22,10 +23,12 @@ from trueup_service.registry.database import Database
 from trueup_service.registry.records import FINAL, JobRecord, JobState
 from trueup_service.registry.transaction import reading, writing
 from trueup_worker.liveness import Liveness
+from trueup_worker.sleeping import has_work
 
 log = logging.getLogger("trueup.worker")
 
 ATTEMPT_SEPARATOR = "-"  # between a job's id and the number of an attempt after its first
+LINGER_S = 10.0  # without any job, until the engine is ended
 ATTEMPTS = 5  # each of which the engine tried for a minute
 
 
@@ -113,16 +116,24 @@ def _fail(database: Database, job: JobRecord) -> None:
 def recover(
     database: Database, liveness: Liveness, own: str, interval_s: float, stop: threading.Event
 ) -> None:
-    """Resumes and retries jobs every `interval_s` [s] until `stop` is set.
-
-    Ends the process if this worker's own lock is lost.
-    """
+    """Resumes and retries jobs every `interval_s` [s], until `stop` is set or no job has been under
+    way for LINGER_S."""
+    idle_since = time.monotonic()
     while not stop.wait(interval_s):
         try:
-            if not liveness.is_held():
-                log.error("the session that shows this worker alive is gone; stopping")
-                os._exit(75)  # EX_TEMPFAIL: another worker may already be running our job
-            resume_orphaned(liveness, own)
-            retry_given_up(database)
+            require_held(liveness)
+            if has_work(database):
+                idle_since = time.monotonic()
+                resume_orphaned(liveness, own)
+                retry_given_up(database)
+            elif time.monotonic() - idle_since > LINGER_S:
+                return
         except Exception:
             log.exception("looking for dead workers failed; looking again")
+
+
+def require_held(liveness: Liveness) -> None:
+    """Ends the process if the lock that shows this worker alive is lost."""
+    if not liveness.is_held():
+        log.error("the session that shows this worker alive is gone; stopping")
+        os._exit(75)  # EX_TEMPFAIL: another worker may already be running our job

@@ -3,9 +3,13 @@ opened when the job ends."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
 from typing import Any
 
+from trueup.blindtrial.conduct import DRAWING
 from trueup.canonical import Json
 from trueup.episode.role import Role
 from trueup_service.actor_context import ActorContext, time_text
@@ -15,12 +19,14 @@ from trueup_service.wiring import Parts
 from trueup_worker.blind_trial import conduct
 from trueup_worker.inputs import read_episodes, read_plant
 from trueup_worker.progress import Progress
+from trueup_worker.spread import Spread
+from trueup_worker.trial_case import keep_case, read_answer
 
 READING = 0.02  # of the job's time
 
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
-    """Returns the report.
+    """Returns the report. Each case is a part of the job, which any worker may diagnose.
 
     Repeating it draws and commits anew. An auditor sees every commitment, and which one was opened.
     """
@@ -44,17 +50,20 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
                 facts={"operation": job.operation, "commitments": commitments},
             )
 
-    trials = int(request["trials"])
-    return {
-        "report": conduct(
-            plant,
-            episodes,
-            trials,
-            None,
-            commit,
-            lambda stage, part: progress.stage(stage, READING, 1.0)(part),
-        )
-    }
+    def shown(stage: str, share: float) -> None:
+        progress.stage(stage, READING, 1.0)(share)
+
+    with Spread(parts.queue, job.id) as spread:
+
+        def diagnose_all(folders: Sequence[Path]) -> Iterator[Mapping[str, Any]]:
+            cases = [keep_case(parts, folder) for folder in folders]
+            answers = spread(
+                cases, lambda done: shown("diagnosing", DRAWING + (1.0 - DRAWING) * done)
+            )
+            return map(partial(read_answer, parts), answers)
+
+        report = conduct(plant, episodes, int(request["trials"]), None, commit, shown, diagnose_all)
+    return {"report": report}
 
 
 def effects(

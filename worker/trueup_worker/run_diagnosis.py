@@ -21,7 +21,6 @@ from trueup_service.registry.records import JobRecord
 from trueup_service.registry.transaction import Transaction
 from trueup_service.wiring import Parts
 from trueup_worker.cycle import cycle_of
-from trueup_worker.fan_out import FanOut
 from trueup_worker.inputs import read_episodes, read_plant, sources
 from trueup_worker.outputs import add_files, keep_arrays, keep_file
 from trueup_worker.progress import Progress
@@ -41,14 +40,9 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     )
     request: dict[str, Any] = dict(job.request)
     seed = int(request["seed"])
-    with FanOut(parts.queue, job.id) as fan_out:
-        diagnosis = diagnose(
-            plant,
-            episodes,
-            seed,
-            lambda stage, part: progress.stage(stage, READING, 1.0)(part),
-            fan_out,
-        )
+    diagnosis = diagnose(
+        plant, episodes, seed, lambda stage, part: progress.stage(stage, READING, 1.0)(part)
+    )
     report = dict(diagnosis.document)
     provenance: dict[str, Json] = {
         "origin": "diagnosis",

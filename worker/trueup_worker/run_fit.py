@@ -37,10 +37,11 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     Repeating it gives the same bytes.
     """
     plant, training = read_plant(parts, job), []
-    if "training" in job.request:
+    request: dict[str, Any] = job.request
+    if "training" in request:
         reading_training = progress.stage("reading training episodes", 0.0, 0.3)
         training = read_episodes(
-            parts, job, plant, (Role.TRAINING,), reading_training, field="training"
+            parts, job, plant, (Role.TRAINING,), reading_training, request["training"]
         )
     episodes = read_episodes(
         parts, job, plant, (Role.ADAPTATION,), progress.stage("reading episodes", 0.3, 0.5)

@@ -3,16 +3,17 @@ rules."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
 from trueup.canonical import Json, digest_of
+from trueup.control.closed_loop import Driven, drive
 from trueup.episode.episode import Episode
 from trueup.episode.role import HELD_OUT
 from trueup.gate.decision import Gate
 from trueup.gate.evidence import Evidence
-from trueup.gate.judge import judge, run_trial, sensitivity
+from trueup.gate.judge import closed_loop, judge, run_trial, sensitivity
 from trueup.gate.rule import rules
 from trueup.model.predictor import Predictor
 from trueup_service.actions import find
@@ -25,12 +26,17 @@ from trueup_service.registry.records import JobRecord
 from trueup_service.registry.transaction import Transaction, reading
 from trueup_service.wiring import Parts
 from trueup_worker.cycle import cycle_of
+from trueup_worker.exact_numbers import from_json, to_json
 from trueup_worker.inputs import read_episodes, read_plant, read_predictor
 from trueup_worker.progress import Progress
+from trueup_worker.spread import Spread
+
+CANDIDATE, INCUMBENT = "candidate", "incumbent"
 
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
-    """Scores the candidate and the incumbent, and judges the candidate."""
+    """Scores the candidate and the incumbent, and judges the candidate. Where the gate asks for
+    closed-loop runs, those of each model are a part of the job."""
     request: dict[str, Any] = job.request
     plant = read_plant(parts, job)
     with reading(parts.database) as tx:
@@ -52,7 +58,14 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
         else None
     )
     run = run_trial(
-        gate, candidate, incumbent, episodes, progress.stage("scoring", 0.4, 1.0), copy, others
+        gate,
+        candidate,
+        incumbent,
+        episodes,
+        progress.stage("scoring", 0.4, 1.0),
+        copy,
+        others,
+        lambda report: _drive_both(parts, job, report),
     )
     decision = judge(
         gate,
@@ -77,6 +90,27 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
         **outcome,
         "scales": sensitivity(gate, run, plant.scales, [c.name for c in plant.layout.observations]),
     }
+
+
+def part(parts: Parts, job: JobRecord, asked: dict[str, Any]) -> Json:
+    """Runs one model in closed loop."""
+    request: dict[str, Any] = job.request
+    models = {which: read_predictor(parts, job, request[which]) for which in (CANDIDATE, INCUMBENT)}
+    episodes = read_episodes(parts, job, read_plant(parts, job), HELD_OUT, lambda _: None)
+    machine, courses = closed_loop(models[CANDIDATE], models[INCUMBENT], episodes)
+    driven = drive(machine, models[asked["model"]], courses)
+    return {"errors": to_json(driven.errors), "breaches": to_json(driven.breaches)}
+
+
+def _drive_both(
+    parts: Parts, job: JobRecord, progress: Callable[[float], None]
+) -> tuple[Driven, Driven]:
+    with Spread(parts.queue, job.id) as spread:
+        candidate, incumbent = (
+            Driven(from_json(answer["errors"]), from_json(answer["breaches"]))
+            for answer in spread([{"model": which} for which in (CANDIDATE, INCUMBENT)], progress)
+        )
+    return candidate, incumbent
 
 
 def _rehearse(

@@ -1,4 +1,5 @@
-"""Run one job in two steps that may each be repeated: compute, then finish.
+"""Run one job in two steps that may each be repeated: compute, then finish. Both run in a compute
+process, and so do parts of a job.
 
 Computing writes blobs only, which are named by their content. Finishing is one transaction, which
 happens only if the job is not finished yet. So a job has its effects once, however often its worker
@@ -8,6 +9,7 @@ was killed.
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from types import ModuleType
 from typing import Any
@@ -19,6 +21,7 @@ from trueup.errors import TrueupError
 from trueup_service.actions import find
 from trueup_service.actions.finish_job import finish_job
 from trueup_service.actor_context import ActorContext, time_text
+from trueup_service.registry.attempts import AttemptRecord
 from trueup_service.registry.records import FINAL, JobRecord, JobState
 from trueup_service.registry.transaction import reading, writing
 from trueup_service.wiring import Parts
@@ -56,17 +59,43 @@ KINDS: dict[str, ModuleType] = {
 }
 
 
-def compute(parts: Parts, job_id: str) -> dict[str, Json]:
+class ProcessDied(TrueupError):
+    """The process or the worker died each time that the job was begun."""
+
+    code = "process-died"
+    hint = (
+        "Read what is known of the last attempt: a job that runs out of memory needs a worker with "
+        "more, a crash in compiled code is worth a report. Then submit it again."
+    )
+
+
+class MemoryLimit(TrueupError):
+    """The job needs more memory than its process may hold."""
+
+    code = "memory-limit"
+    hint = "Raise TRUEUP_JOB_MEMORY_LIMIT_BYTES at the workers, or submit it with fewer episodes."
+
+
+class TimeLimit(TrueupError):
+    """The job took longer than it may."""
+
+    code = "time-limit"
+    hint = "Raise TRUEUP_JOB_TIME_LIMIT_S at the workers, or submit it with fewer episodes."
+
+
+def compute(parts: Parts, job_id: str, worker: str) -> dict[str, Json]:
     """Computes a job, and returns its final state with the outcome or the problem, as JSON."""
     with writing(parts.database) as tx:
         job = find.job(tx, job_id)
+        if job.state in FINAL:
+            return {"state": job.state}
+        deaths = tx.attempts.begin(job_id, worker, _now())
         if job.state == JobState.QUEUED:
             tx.jobs.update(job_id, now=_now(), state=JobState.RUNNING, stage="starting")
-    if job.state in FINAL:
-        return {"state": job.state}
     try:
         if job.state == JobState.CANCELLING:
             raise Cancelled
+        _require_attempts_left(parts, job, deaths)
         return {
             "state": JobState.SUCCEEDED.value,
             "outcome": KINDS[job.kind].compute(parts, job, Progress(parts, job)),
@@ -74,20 +103,60 @@ def compute(parts: Parts, job_id: str) -> dict[str, Json]:
     except SQLAlchemyError:
         raise  # the database, not the job: the engine tries this step again
     except Cancelled as error:
-        return {"state": JobState.CANCELLED.value, "problem": _problem(error)}
-    except TrueupError as error:
-        return {"state": JobState.FAILED.value, "problem": _problem(error)}
-    except Exception as error:
-        log.exception("the job failed unexpectedly", extra={"job": job_id})
-        return {
-            "state": JobState.FAILED.value,
-            "problem": _problem(
-                TrueupError(
-                    f"the worker failed: {type(error).__name__}: {error}",
-                    hint="Read the worker's log.",
-                )
-            ),
-        }
+        return {"state": JobState.CANCELLED.value, "problem": problem_of(error)}
+    except Exception as error:  # noqa: BLE001  (the job must end)
+        return {"state": JobState.FAILED.value, "problem": _problem_of_any(error, job_id)}
+
+
+def part(parts: Parts, entry: str, job_id: str, asked: Json, worker: str) -> dict[str, Json]:
+    """Computes a part of a job, and returns its answer or its problem, as JSON."""
+    with writing(parts.database) as tx:
+        job = find.job(tx, job_id)
+        deaths = tx.attempts.begin(entry, worker, _now())
+    try:
+        if job.state not in (JobState.RUNNING, JobState.QUEUED):
+            raise Cancelled
+        _require_attempts_left(parts, job, deaths)
+        answer = {"answer": KINDS[job.kind].part(parts, job, asked)}
+    except SQLAlchemyError:
+        raise
+    except Exception as error:  # noqa: BLE001  (the job must know)
+        answer = {"problem": _problem_of_any(error, job_id)}
+    with writing(parts.database) as tx:
+        tx.attempts.forget(entry)
+    return answer
+
+
+def _require_attempts_left(parts: Parts, job: JobRecord, deaths: Sequence[AttemptRecord]) -> None:
+    """Raises ProcessDied where a job was begun as often as it may be."""
+    if len(deaths) < parts.settings.job_attempts:
+        return
+    last = deaths[-1]
+    how, _, traceback = (last.ended or "its worker died").partition("\n")
+    raise ProcessDied(
+        f"it was begun {len(deaths)} times, and its process or worker died each time; the last "
+        f"time {how}, at the stage {job.stage!r} ({job.progress:.0%})",
+        attempts=len(deaths),
+        stage=job.stage,
+        last=how,
+        worker=last.worker,
+        begun_at=last.begun_at,
+        **({"traceback": traceback} if traceback else {}),
+    )
+
+
+def _problem_of_any(error: Exception, job_id: str) -> dict[str, Json]:
+    if isinstance(error, TrueupError):
+        return problem_of(error)
+    if isinstance(error, MemoryError):
+        return problem_of(MemoryLimit())
+    log.exception("the job failed unexpectedly", extra={"job": job_id})
+    return problem_of(
+        TrueupError(
+            f"the worker failed: {type(error).__name__}: {error}",
+            hint="Read the worker's log.",
+        )
+    )
 
 
 def finish(parts: Parts, job_id: str, computed: dict[str, Any]) -> str:
@@ -116,7 +185,7 @@ def _failed(parts: Parts, job: JobRecord, error: Exception, context: ActorContex
     )
     if not isinstance(error, TrueupError):
         error = TrueupError(f"{type(error).__name__}: {error}", hint="Read the worker's log.")
-    _close(parts, job, JobState.FAILED, _problem(error), context)
+    _close(parts, job, JobState.FAILED, problem_of(error), context)
     return JobState.FAILED
 
 
@@ -142,7 +211,8 @@ def _close(
         finish_job(tx, job, state, {"problem": problem}, context)
 
 
-def _problem(error: TrueupError) -> dict[str, Json]:
+def problem_of(error: TrueupError) -> dict[str, Json]:
+    """Returns an error as the problem of a job."""
     return {
         "code": error.code,
         "detail": error.message,

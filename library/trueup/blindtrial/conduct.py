@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 from base64 import b64decode
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -51,6 +51,8 @@ DRAWING = 0.2  # share of the trial's time
 
 # Given a case folder, its `report`, `manifest` and `arrays` (base64), or a `problem`; and `seconds`
 Diagnose = Callable[[Path], Mapping[str, Any]]
+# Given every case folder, their responses in order, as they come
+DiagnoseAll = Callable[[Sequence[Path]], Iterable[Mapping[str, Any]]]
 Progress = Callable[[str, float], None]
 
 
@@ -81,14 +83,13 @@ def conduct(
     secret: Secret,
     commit: Callable[[list[str]], None],
     progress: Progress,
-    diagnosers: Sequence[Diagnose],
+    diagnose_all: DiagnoseAll,
     keep: Path,
 ) -> dict[str, Any]:
     """The report of `count` trials like a user's plant and episodes.
 
     `commit` is called with the commitments before the first diagnosis. Cases are written into the
-    folder `keep` and diagnosed by `diagnosers`, several at once. Raises NotIdentifiable,
-    LabelLeaked.
+    folder `keep` and diagnosed by `diagnose_all`. Raises NotIdentifiable, LabelLeaked.
     """
     source = trial_plant(plant)
     bench = source.bench(episodes)
@@ -98,7 +99,7 @@ def conduct(
         progress("drawing machines and recording them", DRAWING * len(committed) / count)
     commit([c.commitment for c in committed])
     responses = []
-    for response in _diagnose_all([c.folder for c in committed], diagnosers):
+    for response in diagnose_all([c.folder for c in committed]):
         responses.append(response)
         progress("diagnosing", DRAWING + (1.0 - DRAWING) * len(responses) / count)
     answers = [Answer(r.get("report"), r.get("problem"), float(r["seconds"])) for r in responses]
@@ -171,23 +172,25 @@ def _draw(
         )
 
 
-def _diagnose_all(
-    folders: Sequence[Path], diagnosers: Sequence[Diagnose]
-) -> Iterator[Mapping[str, Any]]:
-    """Every folder's response, in order."""
-    free: SimpleQueue[Diagnose] = SimpleQueue()
-    for diagnoser in diagnosers:
-        free.put(diagnoser)
+def side_by_side(diagnosers: Sequence[Diagnose]) -> DiagnoseAll:
+    """Diagnosis of all cases by some diagnosers, each of which takes one case at a time."""
 
-    def ask(folder: Path) -> Mapping[str, Any]:
-        diagnoser = free.get()
-        try:
-            return diagnoser(folder)
-        finally:
+    def diagnose_all(folders: Sequence[Path]) -> Iterator[Mapping[str, Any]]:
+        free: SimpleQueue[Diagnose] = SimpleQueue()
+        for diagnoser in diagnosers:
             free.put(diagnoser)
 
-    with ThreadPoolExecutor(len(diagnosers)) as pool:
-        yield from pool.map(ask, folders)
+        def ask(folder: Path) -> Mapping[str, Any]:
+            diagnoser = free.get()
+            try:
+                return diagnoser(folder)
+            finally:
+                free.put(diagnoser)
+
+        with ThreadPoolExecutor(len(diagnosers)) as pool:
+            yield from pool.map(ask, folders)
+
+    return diagnose_all
 
 
 def _row(

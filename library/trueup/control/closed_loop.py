@@ -8,7 +8,7 @@ nothing of hardware, of computing time, or of what the simulated machine leaves 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite
 
@@ -86,6 +86,48 @@ def change_ci95(candidate: Array, incumbent: Array) -> tuple[float, float] | Non
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Driven:
+    """The runs of one model: tracking errors and shares of states outside the envelope, `(courses x
+    seeds,)` each."""
+
+    errors: Array
+    breaches: Array
+
+
+def drive(
+    machine: Machine,
+    model: Predictor,
+    courses: Courses,
+    ended: Callable[[], None] = lambda: None,
+) -> Driven:
+    """Runs of one model on a machine, SEEDS of each course. Calls `ended` after each."""
+    errors, breaches = [], []
+    for hz in courses.frequencies_hz:
+        reference = courses.reference(hz)
+        for seed in range(SEEDS):
+            rng = np.random.default_rng(seed)
+            begin, planner = courses.begin(rng), courses.planner(model)
+            run = run_loop(machine, planner, reference, rng, begin=begin, hold=courses.hold)
+            errors.append(run.tracking_error(reference, courses.error_scale))
+            breaches.append(run.breaches(machine.plant))
+            ended()
+    return Driven(np.array(errors), np.array(breaches))
+
+
+def tracking_of(
+    machine: Machine, courses: Courses, candidate: Driven, incumbent: Driven
+) -> Tracking:
+    """The tracking of two models whose runs are paired."""
+    return Tracking(
+        candidate.errors,
+        incumbent.errors,
+        (float(candidate.breaches.mean()), float(incumbent.breaches.mean())),
+        tuple(map(float, courses.amplitude)),
+        machine.model.kind,
+    )
+
+
 def compare(
     machine: Machine,
     candidate: Predictor,
@@ -94,25 +136,10 @@ def compare(
     progress: Callable[[float], None] = lambda _: None,
 ) -> Tracking:
     """Paired runs of both models on a machine, SEEDS of each course."""
-    errors: dict[str, list[float]] = {"candidate": [], "incumbent": []}
-    outside: dict[str, list[float]] = {"candidate": [], "incumbent": []}
-    models: Mapping[str, Predictor] = {"candidate": candidate, "incumbent": incumbent}
-    total = len(courses.frequencies_hz) * SEEDS * len(models)
-    for hz in courses.frequencies_hz:
-        reference = courses.reference(hz)
-        for seed in range(SEEDS):
-            for name, model in models.items():
-                rng = np.random.default_rng(seed)
-                begin, planner = courses.begin(rng), courses.planner(model)
-                run = run_loop(machine, planner, reference, rng, begin=begin, hold=courses.hold)
-                errors[name].append(run.tracking_error(reference, courses.error_scale))
-                outside[name].append(run.breaches(machine.plant))
-                progress(sum(len(e) for e in errors.values()) / total)
-    shares = float(np.mean(outside["candidate"])), float(np.mean(outside["incumbent"]))
-    return Tracking(
-        np.array(errors["candidate"]),
-        np.array(errors["incumbent"]),
-        shares,
-        tuple(map(float, courses.amplitude)),
-        machine.model.kind,
+    total = len(courses.frequencies_hz) * SEEDS * 2
+    done = iter(range(1, total + 1))
+    by_candidate, by_incumbent = (
+        drive(machine, model, courses, lambda: progress(next(done) / total))
+        for model in (candidate, incumbent)
     )
+    return tracking_of(machine, courses, by_candidate, by_incumbent)

@@ -12,7 +12,7 @@ answers: a run may track well outside, and badly inside. Stage MIL: see `closed_
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 
@@ -106,6 +106,50 @@ class Runs:
         }
 
 
+@dataclass(frozen=True, slots=True)
+class RegimeRuns:
+    """The runs that a study asks for: every model in every regime, on what stands in for the
+    machine. A case is the number of a regime and the name of a model.
+
+    Raises ValueError without models, seeds or regimes.
+    """
+
+    stand_in: tuple[str, Machine]
+    models: Mapping[str, Predictor]
+    courses: Courses
+    conditions: Conditions
+
+    def __post_init__(self) -> None:
+        if not (self.models and self.conditions.seeds and self.regimes()[0]):
+            raise ValueError("closed-loop runs need a model, a seed and a regime")
+
+    def regimes(self) -> tuple[list[Regime], list[Regime], list[Json]]:
+        """The regimes, those of the sweep of delays, and what is left out with the reason."""
+        machine = self.stand_in[1]
+        chosen, left_out = _regimes(machine, self.conditions)
+        return chosen, list(_sweep(machine, self.conditions)), left_out
+
+    def cases(self) -> list[tuple[int, str]]:
+        """Every regime with every model."""
+        chosen, swept, _ = self.regimes()
+        return [(i, name) for i in range(len(chosen) + len(swept)) for name in self.models]
+
+    def run(self, case: tuple[int, str], ended: Callable[[], None] = lambda: None) -> Runs:
+        """The runs of a case. Calls `ended` after each."""
+        chosen, swept, _ = self.regimes()
+        number, name = case
+        regime = [*chosen, *swept][number]
+        return _run(regime, self.models[name], self.courses, self.conditions.seeds, ended)
+
+    def run_all(self, progress: Progress) -> Iterator[Runs]:
+        """The runs of every case, one after the other."""
+        cases = self.cases()
+        each = len(self.courses.frequencies_hz) * len(self.conditions.seeds)
+        done = iter(range(1, each * len(cases) + 1))
+        for case in cases:
+            yield self.run(case, lambda: progress(next(done) / (each * len(cases))))
+
+
 def run_regimes(
     stand_in: tuple[str, Machine],
     models: Mapping[str, Predictor],
@@ -118,22 +162,20 @@ def run_regimes(
 
     Raises ValueError without models, seeds or regimes.
     """
-    name, machine = stand_in
-    chosen, left_out = _regimes(machine, conditions)
-    if not (models and conditions.seeds and chosen):
-        raise ValueError("closed-loop runs need a model, a seed and a regime")
-    sweep = list(_sweep(machine, conditions))
-    each = len(courses.frequencies_hz) * len(conditions.seeds)
-    total = (len(chosen) + len(sweep)) * len(models) * each
-    done = iter(range(1, total + 1))
+    asked = RegimeRuns(stand_in, models, courses, conditions)
+    return regimes_document(asked, asked.run_all(progress))
 
-    def runs_of(regime: Regime) -> dict[str, Runs]:
-        return {
-            key: _run(regime, m, courses, conditions.seeds, lambda: progress(next(done) / total))
-            for key, m in models.items()
-        }
 
-    table, swept = ({r: runs_of(r) for r in regimes} for regimes in (chosen, sweep))
+def regimes_document(asked: RegimeRuns, runs: Iterable[Runs]) -> dict[str, Json]:
+    """The document of a study from the runs of its cases, in their order."""
+    name, machine = asked.stand_in
+    chosen, sweep, left_out = asked.regimes()
+    by_case = dict(zip(asked.cases(), runs, strict=True))
+    table, swept = (
+        {r: {key: by_case[first + i, key] for key in asked.models} for i, r in enumerate(regimes)}
+        for first, regimes in ((0, chosen), (len(chosen), sweep))
+    )
+    models, courses, conditions = asked.models, asked.courses, asked.conditions
     plant = courses.plant
     return {
         "schema": "trueup.closedloop/1",

@@ -186,11 +186,6 @@ class Setup:
                 break
         return self._search_problem(fits, base.fit), base
 
-    def problem_again(self, length_s: float, base: RolloutFit) -> SearchProblem:
-        """The search problem once more, from what was fitted in setting it up: the windows' length
-        [s] and the nominal form refitted."""
-        return self._search_problem(self.windowed_fits(length_s), base)
-
     def windowed_fits(self, length_s: float) -> WindowedFits:
         """The episodes in windows of a length [s], whose starts are found on whole windows."""
         plant, (adaptation, validation) = self.recordings.plant, self.episodes

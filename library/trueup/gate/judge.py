@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
-from trueup.control.closed_loop import Tracking, compare
+from trueup.control.closed_loop import Driven, Tracking, compare, tracking_of
 from trueup.control.courses import Courses, Travelled
-from trueup.control.machine import stand_in
+from trueup.control.machine import Machine, stand_in
 from trueup.episode.episode import Episode
 from trueup.episode.role import HELD_OUT
 from trueup.errors import BadGate
@@ -24,6 +24,8 @@ from trueup.gate.rule import Trial, Verdict
 from trueup.model.predictor import Predictor
 
 Array = NDArray[np.float64]
+# The closed-loop runs of the candidate and of the incumbent; the share that is done is reported.
+DriveBoth = Callable[[Callable[[float], None]], tuple[Driven, Driven]]
 SCALED = (0.5, 2.0)  # times a channel's declared reporting scale
 NOTHING_KNOWN: Mapping[str, Json] = MappingProxyType(
     {"candidate": [], "episodes": [], "compared": []}
@@ -50,13 +52,15 @@ def run_trial(
     progress: Callable[[float], None] = lambda _: None,
     copy: Predictor | None = None,
     beside: Mapping[str, Predictor] | None = None,
+    drive_both: DriveBoth | None = None,
 ) -> TrialRun:
     """Score both predictors on held-out episodes; `copy` is the incumbent, loaded once more. The
     controls are judged before the candidate.
 
     Models `beside` the candidate, by digest, are scored too, so that the decision shows which of
-    them errs as the candidate does. Raises RoleRefused for an episode of another role, BadGate
-    without episodes, VacuousGate where the gate accepts a control.
+    them errs as the candidate does. Closed-loop runs are made here, or by `drive_both`. Raises
+    RoleRefused for an episode of another role, BadGate without episodes, VacuousGate where the gate
+    accepts a control.
     """
     if not episodes:
         raise BadGate("there is no held-out episode to judge on")
@@ -81,7 +85,13 @@ def run_trial(
         others[name] = score(model, episodes, gate.scoring)
     progress(share)
     tracking = (
-        _driven(candidate, incumbent, episodes, lambda done: progress(share + share * done))
+        _driven(
+            candidate,
+            incumbent,
+            episodes,
+            lambda done: progress(share + share * done),
+            drive_both,
+        )
         if driven
         else None
     )
@@ -101,20 +111,31 @@ def _still(driven: bool) -> Tracking | None:
     return Tracking(np.ones(1), np.ones(1), (0.0, 0.0), (1.0,)) if driven else None
 
 
+def closed_loop(
+    candidate: Predictor, incumbent: Predictor, episodes: Sequence[Episode]
+) -> tuple[Machine, Courses]:
+    """The simulated machine and the courses of a trial's closed-loop runs: the candidate's
+    diagnosis of the machine, or the incumbent's; where nobody has diagnosed it, what else describes
+    it best.
+
+    Raises NotIdentifiable where no joint moved, or one takes no command.
+    """
+    _, machine = stand_in({"candidate": candidate, "incumbent": incumbent})
+    return machine, Courses.within(machine.plant, Travelled.of(machine.plant, episodes))
+
+
 def _driven(
     candidate: Predictor,
     incumbent: Predictor,
     episodes: Sequence[Episode],
     progress: Callable[[float], None],
+    drive_both: DriveBoth | None,
 ) -> Tracking:
-    """Both models in closed loop on a simulated machine: the candidate's diagnosis of it, or the
-    incumbent's; where nobody has diagnosed it, what else describes it best.
-
-    Raises NotIdentifiable where no joint moved, or one takes no command.
-    """
-    _, machine = stand_in({"candidate": candidate, "incumbent": incumbent})
-    courses = Courses.within(machine.plant, Travelled.of(machine.plant, episodes))
-    return compare(machine, candidate, incumbent, courses, progress)
+    """Both models in closed loop. Raises NotIdentifiable."""
+    machine, courses = closed_loop(candidate, incumbent, episodes)
+    if drive_both is None:
+        return compare(machine, candidate, incumbent, courses, progress)
+    return tracking_of(machine, courses, *drive_both(progress))
 
 
 def judge(

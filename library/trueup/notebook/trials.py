@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from trueup.blindtrial.conduct import Secret, conduct
+from trueup.blindtrial.conduct import Secret, conduct, side_by_side
 from trueup.blindtrial.diagnosing import answer_of
 from trueup.cores import cores
 from trueup.notebook.case import Case
@@ -76,7 +76,7 @@ def blind_trial(case: Case, *, trials: int = 60, progress: bool | Progress = Fal
             Secret(os.urandom(SECRET_BYTES)),
             lambda _: None,
             shown(progress),
-            [partial(answer_of, clock_s=_no_clock)] * cores(),
+            side_by_side([partial(answer_of, clock_s=_no_clock)] * cores()),
             Path(folder),
         )
     return BlindTrial(report)

@@ -29,6 +29,7 @@ def finish_job(
         result=result,
     ):
         return False
+    tx.attempts.forget(job.id)
     effects(tx)
     facts: dict[str, Json] = {
         "kind": job.kind,

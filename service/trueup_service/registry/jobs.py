@@ -14,6 +14,7 @@ from trueup_service.registry.records import FINAL, NOTHING_CAME, JobRecord, JobS
 from trueup_service.registry.repository import Repository
 from trueup_service.registry.row_format import document_text
 
+UNFINISHED = tuple(state for state in JobState if state not in FINAL)
 SEARCHED_JOBS = 200  # of one kind, the newest
 
 
@@ -33,8 +34,13 @@ class Jobs(Repository[JobRecord]):
 
     def unfinished(self) -> list[str]:
         """The ids of all jobs of all plants that have not ended, the oldest first."""
-        query = select(t.jobs.c.id).where(t.jobs.c.state.not_in(FINAL))
+        query = select(t.jobs.c.id).where(t.jobs.c.state.in_(UNFINISHED))
         return list(self._connection.scalars(query.order_by(t.jobs.c.created_at)))
+
+    def has_unfinished(self) -> bool:
+        """Whether a job of any plant has not ended."""
+        query = select(t.jobs.c.id).where(t.jobs.c.state.in_(UNFINISHED))  # which its index finds
+        return self._connection.scalar(query.limit(1)) is not None
 
     def last(self, plant: str, kind: str) -> JobRecord | None:
         """The newest job of a kind."""

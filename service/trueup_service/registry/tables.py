@@ -147,6 +147,18 @@ jobs = Table(
     *_created(),
     Column("updated_at", AT, nullable=False),
     Index(None, "plant", "created_at"),
+    Index(None, "state"),
+)
+
+attempts = Table(
+    "attempts",
+    metadata,
+    Column("entry", String(120), primary_key=True),
+    Column("number", Integer, primary_key=True, autoincrement=False),
+    Column("worker", Text, nullable=False),
+    Column("begun_at", AT, nullable=False),
+    Column("ended", Text),
+    Index(None, "begun_at"),
 )
 
 job_reads = Table(

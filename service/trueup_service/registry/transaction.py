@@ -15,6 +15,7 @@ from sqlalchemy import Connection, text
 
 from trueup.errors import BrokenChain
 from trueup_service.registry.artifacts import Artifacts
+from trueup_service.registry.attempts import Attempts
 from trueup_service.registry.audit_log import AuditLog
 from trueup_service.registry.channels import ChannelMoves, Channels, EvidenceOfArtifacts
 from trueup_service.registry.database import Database
@@ -52,6 +53,7 @@ class ReadTransaction:
         self.channels, self.channel_moves = Channels(gateway), ChannelMoves(gateway)
         self.evidence = EvidenceOfArtifacts(gateway)
         self.jobs, self.outputs = Jobs(gateway), Outputs(gateway)
+        self.attempts = Attempts(gateway)
         self.monitors, self.watches = Monitors(gateway), Watches(gateway)
         self.alarms = Alarms(gateway)
         self.idempotency = Idempotency(gateway)

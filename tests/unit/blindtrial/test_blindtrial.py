@@ -22,6 +22,7 @@ from trueup.blindtrial.commitment import (
     require_no_leak,
     salt_of,
 )
+from trueup.blindtrial.conduct import side_by_side
 from trueup.blindtrial.scoring import (
     Answer,
     _improbable,
@@ -97,7 +98,7 @@ def conducted():
             happened.append("committed")
 
         document = blind_trial.conduct(
-            plant, episodes, COUNT, SECRET, commit, lambda *_: None, [diagnosed]
+            plant, episodes, COUNT, SECRET, commit, lambda *_: None, side_by_side([diagnosed])
         )
     return document, committed, happened
 
@@ -157,7 +158,7 @@ def test_a_planted_leak_is_caught_by_its_words(monkeypatch):
         lambda p, t, c: plain(p, t, c | {"note": " ".join(t.machine.imperfections)}),
     )
     with pytest.raises(LabelLeaked, match="spells"):
-        blind_trial.conduct(*users(), 5, SECRET, lambda _: None, lambda *_: None, [])
+        blind_trial.conduct(*users(), 5, SECRET, lambda _: None, lambda *_: None, side_by_side([]))
     require_no_leak({"a.mcap": b"no word of it"}, LABEL, "5a17", {})
     with pytest.raises(LabelLeaked, match=r"a\.mcap spells 'coulomb_friction'"):
         require_no_leak({"a.mcap": b"xx coulomb_friction xx"}, LABEL, "5a17", {})
@@ -201,7 +202,7 @@ def test_a_planted_leak_that_spells_no_word_takes_the_decoy(monkeypatch):
 
     plant, episodes = users()
     document = blind_trial.conduct(
-        plant, episodes, 20, SECRET, lambda _: None, lambda *_: None, [cheat]
+        plant, episodes, 20, SECRET, lambda _: None, lambda *_: None, side_by_side([cheat])
     )
     assert document["leak"]["baits"] == 2
     assert document["leak"]["taken"] == 2
@@ -212,14 +213,15 @@ def test_a_planted_leak_that_spells_no_word_takes_the_decoy(monkeypatch):
 def test_an_isolated_process_knows_nothing_of_its_makers_environment(monkeypatch):
     monkeypatch.setenv("TRUEUP_DATABASE_URL", "postgresql://somebody:secret@somewhere/labels")
     with IsolatedProcess(min(os.sched_getaffinity(0))) as process:
-        assert b"secret" not in Path(f"/proc/{process._process.pid}/environ").read_bytes()
         answer = process(Path("/nowhere"))
+        assert b"secret" not in Path(f"/proc/{process._process.pid}/environ").read_bytes()
     assert answer["problem"].startswith("bad-plant")
 
 
 def test_an_isolated_process_that_dies_is_started_once_more(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with IsolatedProcess(min(os.sched_getaffinity(0))) as process:
+        process(Path("some where"))
         process._process.kill()
         process._process.wait()
         answer = process(Path("some where"))
@@ -235,7 +237,7 @@ def test_processes_that_never_answer_end_the_trial():
             SECRET,
             lambda _: None,
             lambda *_: None,
-            [lambda _: {"problem": "no-answer: ended with code 1", "seconds": 0.0}],
+            side_by_side([lambda _: {"problem": "no-answer: ended with code 1", "seconds": 0.0}]),
         )
 
 
@@ -246,7 +248,7 @@ def test_a_diagnosis_that_breaks_is_a_miss_of_its_machine_alone():
         SECRET,
         lambda _: None,
         lambda *_: None,
-        [lambda _: {"problem": "failed: KeyError: 3", "seconds": 0.1}],
+        side_by_side([lambda _: {"problem": "failed: KeyError: 3", "seconds": 0.1}]),
     )
     assert document["refused"] == 3
     assert not any(r["exact"] for r in document["rows"])
