@@ -7,6 +7,7 @@ Each process has its own environment, runs a module as `python -m` does, and can
 from __future__ import annotations
 
 import contextlib
+import importlib
 import multiprocessing
 import os
 import runpy
@@ -29,6 +30,8 @@ PRELOADED = [
     "trueup_service.http.serve", "trueup_service.authentication",
     "trueup_service.logs", "trueup_worker.main", "trueup_worker.run_job",
 ]  # fmt: skip
+# which says what its own are forked from; where tests run, they are forked from the same
+importlib.import_module("trueup_worker.compute_process")
 _context = multiprocessing.get_context("forkserver")
 _context.set_forkserver_preload(PRELOADED)
 
