@@ -15,13 +15,15 @@ from bench.report import Figure, show
 from bench.servers import Peer, call, ours, peer
 from tests.support.made import episode_bytes, plant_document
 from trueup.artifact.artifact import pack
-from trueup.canonical import digest_of
+from trueup.canonical import Json, digest_of
 from trueup.episode.role import Role
 from trueup.gate.decision import default_gate
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified
+from trueup_service.actions import find
 from trueup_service.actions.declare_gate import declare_gate
 from trueup_service.actions.record_decision import record_decision
+from trueup_service.actions.switchback import rehearse_decision
 from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import ArtifactRecord
 from trueup_service.registry.transaction import Transaction
@@ -153,14 +155,15 @@ def _decisions(port: int, data: Path, name: str) -> list[bytes]:
         episode_bytes(9, 60, role=Role.VALIDATION),
         "application/octet-stream",
     )
-    # on which the way back is rehearsed before each move
+    # on which the way back is rehearsed when a candidate is accepted
     assert run(port, [iter([held_out])], 60.0).statuses == {201: 1}
     episode = call(port, "GET", f"/v1/plants/{name}/episodes")["items"][0]["digest"]
     serving = call(port, "GET", f"/v1/plants/{name}/serving")["artifact"]
     parts, requests = build(Settings(data_dir=data)), []
+    rehearsed: dict[tuple[str, str], dict[str, Json]] = {}
     with parts.database.write() as connection:
         tx = Transaction(connection)
-        declare_gate(tx, name, None, CONTEXT)
+        gate, _ = declare_gate(tx, name, None, CONTEXT)
         for generation in range(1, MOVES + 1):
             candidate = artifacts[generation % 2].digest
             document = {
@@ -172,7 +175,19 @@ def _decisions(port: int, data: Path, name: str) -> list[bytes]:
                 "episodes": [episode],
                 "plant": plant.digest,
             }
-            record_decision(tx, name, document, None, CONTEXT)
+            both = serving, candidate
+            if both not in rehearsed:
+                records = [find.artifact(tx, name, digest) for digest in both]
+                rehearsed[both] = rehearse_decision(
+                    parts.blobs,
+                    parts.spool,
+                    *records,
+                    plant.digest,
+                    document,
+                    gate.document,
+                    CONTEXT.now,
+                )
+            record_decision(tx, name, document, None, CONTEXT, rehearsed[both])
             body = json.dumps(
                 {"decision": digest_of(document), "expected_generation": generation}
             ).encode()

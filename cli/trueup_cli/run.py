@@ -10,7 +10,7 @@ import threading
 from collections.abc import Mapping
 from typing import Annotated
 
-from cyclopts import Parameter
+from cyclopts import Parameter, validators
 
 from trueup_cli.options import Json
 from trueup_cli.show import as_json, err, progress, say
@@ -22,6 +22,7 @@ def serve(
     *,
     host: str | None = None,
     port: int | None = None,
+    processes: Annotated[int, Parameter(validator=validators.Number(gte=1))] = 1,
     worker: Annotated[bool, Parameter(help="Run a worker beside the server")] = True,
 ) -> None:
     """Serve on embedded storage, or on what TRUEUP_DATABASE_URL and TRUEUP_S3_BUCKET name.
@@ -32,9 +33,11 @@ def serve(
         address to listen on; TRUEUP_HOST, else 127.0.0.1
     port
         port to listen on; TRUEUP_PORT, else 8321
+    processes
+        how many processes serve on that port, for a machine with several cores
     """
     from trueup_service.authentication import first_admin
-    from trueup_service.http.serve import listen
+    from trueup_service.http.serve import listen, serve_by_processes
     from trueup_service.http.serve import serve as run
     from trueup_service.logs import configure_logs
     from trueup_service.settings import Settings
@@ -63,7 +66,11 @@ def serve(
     )
     child = _ChildWorker() if worker else None
     try:
-        run(parts, listening)
+        if processes == 1:
+            run(parts, listening)
+        else:
+            parts.close()
+            serve_by_processes(settings, listening, processes)
     finally:
         if child is not None:
             child.stop()

@@ -138,7 +138,9 @@ def effects(
     parts: Parts, tx: Transaction, job: JobRecord, outcome: dict[str, Any], context: ActorContext
 ) -> None:
     """Records the decision, and promotes its candidate if a policy says so."""
-    decision = record_decision(tx, job.plant, outcome["decision"], job.id, context)
+    decision = record_decision(
+        tx, job.plant, outcome["decision"], job.id, context, outcome["rehearsed"]
+    )
     closed_loop: Any = outcome["decision"]["figures"].get("closed_loop")
     if closed_loop is not None:
         add_evidence(tx, job.plant, _evidence(outcome["decision"], closed_loop), job.id, context)

@@ -1,7 +1,8 @@
 """Promotion and rollback of what a plant serves.
 
-The way back is rehearsed first, outside any transaction, since that reads models. Then the pointer
-moves, if it still stands where the rehearsal found it.
+The way back is rehearsed before the pointer moves, outside any transaction, since that reads
+models: of a promotion already when its candidate is accepted, so that nobody waits for it. Then the
+pointer moves, if it still stands where the rehearsal found it.
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
-from trueup.canonical import Json
-from trueup.errors import PointerMoved
+from trueup.canonical import Json, digest_of_bytes
+from trueup.code_identity import code_identity
+from trueup.errors import PointerMoved, TrueupError
 from trueup_service.actions import find
 from trueup_service.actions.approve import require_approvals
 from trueup_service.actions.continue_cycle import Cycle
@@ -25,9 +27,11 @@ from trueup_service.actions.move_pointer import (
     promote_decision,
     roll_back_pointer,
 )
+from trueup_service.actions.record_decision import DECISION_MADE
 from trueup_service.actor_context import ActorContext
 from trueup_service.errors import SwitchbackFailed
-from trueup_service.registry.records import Move
+from trueup_service.registry.blobs import Blobs
+from trueup_service.registry.records import ArtifactRecord, Move
 from trueup_service.registry.transaction import Transaction, reading
 from trueup_service.wiring import Parts
 
@@ -150,12 +154,20 @@ def _rehearse_promotion(
     parts: Parts, context: ActorContext, plant: str, decision: str
 ) -> dict[str, Any]:
     """The record of the way back from the candidate of a decision, empty where the decision cannot
-    be promoted anyway. Raises NotFound, SwitchbackFailed."""
+    be promoted anyway. Raises NotFound, SwitchbackFailed.
+
+    It is the record that was made when the candidate was accepted, if this code made it and the
+    bytes of what to go back to are still those that it names.
+    """
     with reading(parts.database) as tx:
         made, serving = find.decision(tx, plant, decision), find.serving(tx, plant)
         if not made.accepted or made.generation != serving.generation:
             return {}
         incumbent = find.artifact(tx, plant, made.incumbent)
+        entry = tx.log.first_entry(decision, DECISION_MADE)
+        rehearsed: Any = {} if entry is None else entry.facts.get("rehearsed") or {}
+        if rehearsed.get("loaded_by") == code_identity() and is_intact(parts.blobs, incumbent):
+            return dict(rehearsed)
         candidate = find.artifact(tx, plant, made.candidate)
         plant_digest = find.plant_digest(tx, plant)
         gate = find.gate(tx, plant, made.gate)
@@ -171,6 +183,16 @@ def _rehearse_promotion(
         gate.document,
         context.now,
     )
+
+
+def is_intact(blobs: Blobs, record: ArtifactRecord) -> bool:
+    """Whether an artifact's manifest and arrays are still the bytes that its digests name."""
+    if digest_of_bytes(record.manifest.encode()) != record.digest:
+        return False
+    try:
+        return record.arrays is None or digest_of_bytes(blobs.get(record.arrays)) == record.arrays
+    except TrueupError:
+        return False
 
 
 def _moved(parts: Parts, tx: Transaction, move: Move, context: ActorContext) -> dict[str, Any]:

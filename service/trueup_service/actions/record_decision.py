@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 from trueup.canonical import Json, digest_of
@@ -10,12 +12,20 @@ from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import DecisionRecord
 from trueup_service.registry.transaction import Transaction
 
+DECISION_MADE = "decision:made"
+
 
 def record_decision(
-    tx: Transaction, plant: str, document: dict[str, Any], job: str | None, context: ActorContext
+    tx: Transaction,
+    plant: str,
+    document: dict[str, Any],
+    job: str | None,
+    context: ActorContext,
+    rehearsed: Mapping[str, Json] = MappingProxyType({}),
 ) -> DecisionRecord:
     """Record a decision's document under its digest. The same trial decided again is the same
-    decision."""
+    decision. `rehearsed` is the record of the way back from its candidate, where it was accepted;
+    the log's entry keeps it until the pointer moves."""
     digest = digest_of(document)
     tx.plants.lock(plant)
     known = tx.decisions.get(digest)
@@ -36,5 +46,7 @@ def record_decision(
     )
     tx.decisions.add(record)
     facts: dict[str, Json] = {"operation": Operation.CORRECTION, "decision": document, "job": job}
-    tx.log.append(context, "decision:made", plant=plant, subject=digest, facts=facts)
+    if rehearsed:
+        facts["rehearsed"] = dict(rehearsed)
+    tx.log.append(context, DECISION_MADE, plant=plant, subject=digest, facts=facts)
     return record

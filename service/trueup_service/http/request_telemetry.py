@@ -20,6 +20,8 @@ SECONDS = Histogram(
     ["method", "route"],
     buckets=(0.0005, 0.001, 0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 1, 5, 30),
 )
+# The environment variable by which several server processes of one machine share their metrics.
+SHARED_METRICS = "PROMETHEUS_MULTIPROC_DIR"
 FIRST_ERROR_STATUS = 400
 # A response is data: nothing in it may run, or be shown inside another site. A page sets its own
 # policy.

@@ -1,22 +1,30 @@
-"""Run one server process."""
+"""Run one server process, or several."""
 
 from __future__ import annotations
 
 import asyncio
 import gc
 import logging
+import os
+import signal
 import socket
 import sys
+import tempfile
+import threading
 from contextlib import suppress
+from multiprocessing import parent_process
 from types import FrameType
 from typing import cast
 
 import uvicorn
+from uvicorn.supervisors import multiprocess
 
 from trueup_service.http.app import create_app
 from trueup_service.http.connections import Door, Limits, room_for_connections
+from trueup_service.http.request_telemetry import SHARED_METRICS
+from trueup_service.logs import configure_logs
 from trueup_service.settings import Settings
-from trueup_service.wiring import Parts
+from trueup_service.wiring import Parts, build
 
 
 def listen(host: str, port: int) -> socket.socket:
@@ -85,6 +93,54 @@ def _limits(settings: Settings) -> Limits:
 
 def serve(parts: Parts, listening: socket.socket) -> None:
     """Serve until told to stop."""
+    _server(parts).run(sockets=[listening])
+
+
+def serve_by_processes(settings: Settings, listening: socket.socket, count: int) -> None:
+    """Serve by so many processes until told to stop. They share one socket and one storage, and one
+    that dies is started again."""
+    with tempfile.TemporaryDirectory(prefix="trueup-metrics-") as metrics:
+        os.environ[SHARED_METRICS] = metrics  # read by prometheus_client when it is imported
+        config = _ConfigOfProcess("trueup_service.http.serve", workers=count, log_config=None)
+        config.settings = settings
+        # the supervisor takes its class of process from its module alone
+        multiprocess.Process = _Process  # type: ignore[misc]
+        multiprocess.Multiprocess(config, [listening]).run()
+
+
+class _ConfigOfProcess(uvicorn.Config):
+    """What the supervisor passes on to a process: the settings, from which that builds the rest."""
+
+    settings: Settings
+
+
+class _Process(multiprocess.Process):
+    """One of several server processes, under uvicorn's supervisor."""
+
+    config: _ConfigOfProcess
+
+    @property
+    def server(self) -> uvicorn.Server:
+        if self._server is None:
+            configure_logs(self.config.settings.log_level)
+            self._server = _server(build(self.config.settings))
+        return self._server
+
+    def target(self, sockets: list[socket.socket] | None = None) -> None:
+        # the supervisor asks at once, from another thread, whether the server has started
+        assert self.server
+        threading.Thread(target=_end_with_parent, daemon=True).start()
+        super().target(sockets)
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    os.kill(os.getpid(), signal.SIGTERM)  # as the supervisor, which was killed, would have told it
+
+
+def _server(parts: Parts) -> _Server:
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     _quiet_collector()
     door = Door(_limits(parts.settings))
@@ -99,4 +155,4 @@ def serve(parts: Parts, listening: socket.socket) -> None:
         timeout_keep_alive=int(parts.settings.keep_alive_s) + 1,
         timeout_graceful_shutdown=10,
     )
-    _Server(config, door).run(sockets=[listening])
+    return _Server(config, door)

@@ -7,13 +7,20 @@ import shutil
 import uuid
 
 from fastapi import Request, Response
-from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
+from prometheus_client import (
+    CONTENT_TYPE_LATEST,
+    REGISTRY,
+    CollectorRegistry,
+    generate_latest,
+)
+from prometheus_client.multiprocess import MultiProcessCollector
 from sqlalchemy.exc import SQLAlchemyError
 
 from trueup import __version__
 from trueup_service.errors import LogRewound
 from trueup_service.http.dependencies import RequestParts
 from trueup_service.http.guard import guarded
+from trueup_service.http.request_telemetry import SHARED_METRICS
 from trueup_service.http.schemas.wire import Health, Readiness
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
@@ -83,4 +90,9 @@ def _spool(parts: Parts) -> str:
 
 @router.get("/metrics", summary="Prometheus metrics", response_class=Response)
 def metrics() -> Response:
-    return Response(generate_latest(), media_type=CONTENT_TYPE_LATEST)
+    """Of all server processes that share a socket."""
+    registry = REGISTRY
+    if SHARED_METRICS in os.environ:
+        registry = CollectorRegistry()
+        MultiProcessCollector(registry)  # type: ignore[no-untyped-call]
+    return Response(generate_latest(registry), media_type=CONTENT_TYPE_LATEST)
