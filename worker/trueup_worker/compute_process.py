@@ -33,7 +33,7 @@ log = logging.getLogger("trueup.worker")
 
 # Processes are forked from one that has loaded what they need and has no other thread.
 CONTEXT = multiprocessing.get_context("forkserver")
-CONTEXT.set_forkserver_preload(["trueup_worker.run_job"])
+CONTEXT.set_forkserver_preload(["trueup_worker.run_job", "trueup_service.engine"])
 FAULT_LINES = 12  # of a crash's traceback
 
 
@@ -171,6 +171,7 @@ def _serve(connection: Connection, settings: Settings, core: int | None, faults:
         limit = settings.job_memory_limit_bytes
         resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
     parts = build(settings)
+    parts.queue.prepare()  # a finished job may submit another in its own transaction
     with faults.open("w") as file:
         faulthandler.enable(file)
         while True:

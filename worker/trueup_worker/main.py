@@ -68,7 +68,7 @@ def work(parts: Parts, *, with_parent: bool = False) -> None:
     computing = Computing(parts, name)
     _register(computing)
     threading.Thread(target=computing.warm_up, daemon=True).start()
-    parts.queue.prepare()  # a finished job may submit another in its own transaction
+    parts.queue.prepare()
     log.info("working", extra={"worker": name})
     _work_and_sleep(parts, name, liveness, stop)
     log.info("stopping", extra={"worker": name})

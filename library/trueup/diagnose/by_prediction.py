@@ -18,7 +18,7 @@ from scipy import stats
 from trueup.cores import in_parallel
 from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.data_quality import DataQuality
-from trueup.diagnose.filtering import corrected
+from trueup.diagnose.filtering import Prior, corrected, prior_of
 from trueup.diagnose.intervals import half_widths
 from trueup.diagnose.measure import (
     Gap,
@@ -58,9 +58,19 @@ class Yardstick:
         key = fit.hypothesis, fit.values.tobytes(), scheme
         if key not in self.made:
             self.made[key] = corrected(
-                recordings.plant, self.quality, fit, scheme, recordings.adaptation
+                recordings.plant,
+                self.quality,
+                fit,
+                scheme,
+                recordings.adaptation,
+                self.prior,
             )
         return self.made[key]
+
+    @cached_property
+    def prior(self) -> Prior | None:
+        """The prior of velocities, which all predictors share."""
+        return prior_of(self.recordings.plant, self.quality, self.recordings.adaptation)
 
     def predictor(self, fit: RolloutFit, scheme: Scheme | None = None) -> Corrected | None:
         """The predictor of a fit, None where it has no filter."""

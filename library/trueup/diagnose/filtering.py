@@ -27,15 +27,32 @@ from trueup.model.corrected import Corrected
 from trueup.model.plant import Plant
 from trueup.model.series import Scheme
 from trueup.model.state import smoothed_states
-from trueup.model.velocity_prior import velocity_prior
+from trueup.model.velocity_prior import VelocityPrior, velocity_prior
 
 Array = NDArray[np.float64]
 SETTLED = 1e-10  # of a standard deviation squared: a covariance that stands still
 LOST = 1e10  # of the motion's square: no covariance that is worth a gain
 
 
+# What goes with a log's first sample where no velocity is observed, and the rms of what that misses
+Prior = tuple[VelocityPrior, float]
+
+
+def prior_of(plant: Plant, quality: DataQuality, episodes: Sequence[Episode]) -> Prior | None:
+    """The prior of velocities from adaptation episodes, None where they are observed, or of a
+    robot."""
+    if quality.observed.all() or len(plant.joints) > 1:
+        return None
+    return velocity_prior([_moments(plant, e) for e in episodes])
+
+
 def corrected(
-    plant: Plant, quality: DataQuality, fit: RolloutFit, scheme: Scheme, episodes: Sequence[Episode]
+    plant: Plant,
+    quality: DataQuality,
+    fit: RolloutFit,
+    scheme: Scheme,
+    episodes: Sequence[Episode],
+    prior: Prior | None,
 ) -> Corrected:
     """The predictor of a fit, with the gain that predicts the given adaptation episodes best."""
     hypothesis, values = fit.hypothesis, fit.values.copy()
@@ -46,8 +63,8 @@ def corrected(
             hypothesis = hypothesis | shown
             values[list(plant.block.rows(shown))] = np.where(coarse, lattice, 0.0)
     model, unknown = Corrected(plant, hypothesis, tuple(float(x) for x in values), scheme), None
-    if not quality.observed.all() and len(plant.joints) == 1:
-        moments, unknown = velocity_prior([_moments(plant, e) for e in episodes])
+    if prior is not None:
+        moments, unknown = prior
         model = replace(model, known=moments)
     period = episodes[0].period_s
     far, near = (

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -120,7 +121,7 @@ class Errors:
         return costs
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class NormalEquations:
     """Outer products of (error, parameter, memory and start derivatives), by episode, `(windows,
     used, used)`.
@@ -134,7 +135,7 @@ class NormalEquations:
     scales: Array
     free: int
 
-    @property
+    @cached_property
     def cost(self) -> float:
         """Sum of squared normalised errors, infinite where a rollout ran away."""
         if not all(np.abs(g).max(initial=0.0) < RAN_AWAY for g in self.parts.values()):

@@ -7,6 +7,7 @@ it (a held frame), or that has no number, is left out.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,7 +76,7 @@ def _fastest(plant: Plant) -> float:
     return float(np.abs(np.angle(modes)).max()) / NEAR_S
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Series:
     """One episode for the kernel. Arrays over its samples; `issued`, the mean command until the
     next sample, its `rise` meanwhile and its `integral` `(samples, joints)`; `observed` `(samples,
@@ -103,6 +104,15 @@ class Series:
     begin_by_positions: Array
     period_s: float
     u_scale: Array
+
+    @cached_property
+    def seen_at_once(self) -> tuple[NDArray[np.int64], Array]:
+        """What `seen_by` gives where no joint is seen late, worked out once."""
+        columns = self.observed.shape[1]
+        return (
+            np.repeat(self.window_of[:, None], columns, axis=1),
+            np.ones((len(self.t_s), columns)),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -296,9 +306,7 @@ def seen_by(s: Series, late_s: Array) -> tuple[NDArray[np.int64], Array]:
     samples counts for those too.
     """
     if not late_s.any():
-        return np.repeat(s.window_of[:, None], 2 * len(late_s), axis=1), np.ones(
-            (len(s.t_s), 2 * len(late_s))
-        )
+        return s.seen_at_once
     shown = np.searchsorted(s.t_s, s.t_s[:, None] - late_s, side="right") - 1
     windows = np.where(shown >= 0, s.window_of[shown], -1)
     weight = np.sqrt(len(shown) / np.maximum((shown >= 0).sum(axis=0), 1))

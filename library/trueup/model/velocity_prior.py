@@ -58,14 +58,19 @@ class VelocityPrior:
 
     def velocity(self, position: float, command: float) -> float:
         """The velocity to expect."""
-        here = np.array([position, command])
-        expected = float((_terms(here[None]) @ self._line)[0])
-        if not self.nearest:
-            return expected
-        apart = np.sum(((self.moments[:, :2] - here) / self._sizes) ** 2, axis=1)
-        return expected + float(
-            self._missed[np.argsort(apart, kind="stable")[: self.nearest]].mean()
-        )
+        here = np.array([[position, command]])
+        return float(self._by_number(here, (self.nearest,))[self.nearest][0])
+
+    def _by_number(self, here: Array, numbers: Sequence[int]) -> dict[int, Array]:
+        """The velocities `(places,)` to expect at positions and commands `(places, 2)`, by how many
+        of the nearest moments are asked."""
+        expected = _terms(here) @ self._line
+        if not any(numbers):
+            return dict.fromkeys(numbers, expected)
+        apart = np.sum(((self.moments[:, :2] - here[:, None]) / self._sizes) ** 2, axis=2)
+        order = np.argsort(apart, axis=1, kind="stable")[:, : max(numbers)]
+        missed = self._missed[order]
+        return {n: expected + missed[:, :n].mean(axis=1) if n else expected for n in numbers}
 
 
 def velocity_prior(episodes: Sequence[Array]) -> tuple[VelocityPrior, float]:
@@ -76,19 +81,22 @@ def velocity_prior(episodes: Sequence[Array]) -> tuple[VelocityPrior, float]:
     """
     parts = [e for e in episodes if len(e)]
     parts = parts if len(parts) > 1 else np.array_split(np.concatenate(episodes), 2)
-    missed = {nearest: _missed(parts, nearest) for nearest in NEAREST}
+    missed = _missed(parts)
     nearest = min(missed, key=lambda n: missed[n])
     return VelocityPrior(_thinned(np.concatenate(parts), MOST), nearest), missed[nearest]
 
 
-def _missed(parts: Sequence[Array], nearest: int) -> float:
-    errors = []
+def _missed(parts: Sequence[Array]) -> dict[int, float]:
+    """The rms of what each number of nearest moments misses."""
+    errors: dict[int, list[Array]] = {n: [] for n in NEAREST}
     for i, part in enumerate(parts):
         others = VelocityPrior(
-            _thinned(np.concatenate([p for j, p in enumerate(parts) if j != i]), MOST), nearest
+            _thinned(np.concatenate([p for j, p in enumerate(parts) if j != i]), MOST), 0
         )
-        errors += [others.velocity(q, u) - v for q, u, v in _thinned(part, ASKED)]
-    return float(np.sqrt(np.mean(np.square(errors))))
+        asked = _thinned(part, ASKED)
+        for n, expected in others._by_number(asked[:, :2], NEAREST).items():
+            errors[n].append(expected - asked[:, 2])
+    return {n: float(np.sqrt(np.mean(np.square(np.concatenate(e))))) for n, e in errors.items()}
 
 
 def _terms(moments: Array) -> Array:

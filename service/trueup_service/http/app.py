@@ -60,8 +60,9 @@ Errors are `application/problem+json` with a stable `code` and a `hint`. Every P
 `Idempotency-Key`."""
 
 
+# Routes are tried in order, and fleets ask most what serves.
 ROUTERS = (
-    plants, episodes, uploads, telemetry, artifacts, families, gates, jobs, decisions, serving,
+    serving, plants, episodes, uploads, telemetry, artifacts, families, gates, jobs, decisions,
     monitors, policies, channels, audit, access,
     operations,
 )  # fmt: skip

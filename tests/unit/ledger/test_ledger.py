@@ -119,6 +119,7 @@ def test_the_rows_that_the_log_names_are_the_tables_of_the_registry_by_their_key
         "audit_head",
         "audit_key",
         "job_reads",
+        "attempts",
         "idempotency",
         "sessions",
     }

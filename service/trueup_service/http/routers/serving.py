@@ -20,7 +20,7 @@ from trueup_service.http.dependencies import (
     RequestContext,
     RequestParts,
 )
-from trueup_service.http.guard import guarded
+from trueup_service.http.guard import guarded, polled_route
 from trueup_service.http.polling import ASKED, PLANT, UNCHANGED, polled
 from trueup_service.http.schemas.serving import Promotion, Rollback, Serving
 from trueup_service.http.schemas.wire import Envelope, Page
@@ -38,7 +38,8 @@ AtTime = Annotated[
 ]
 
 
-@router.get(
+@polled_route(
+    router,
     "",
     summary="What is serving now",
     response_model=Serving,
