@@ -11,6 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
+import orjson
 import rfc8785
 
 from trueup.errors import TrueupError
@@ -19,6 +20,19 @@ Json: TypeAlias = "bool | int | float | str | Sequence[Json] | Mapping[str, Json
 
 # integers that JSON holds exactly, and what is written without an exponent
 EXACT, LARGEST_PLAIN = (2**53 - 1, 10**21)
+# orjson writes the same bytes as rfc8785, twenty times as fast, but for
+#   - null, which may have been a NaN
+#   - floats that it writes with an exponent, or with `.0`
+#   - characters beyond 16 bits, by which it sorts keys otherwise
+# and it raises for what it does not know, such as subclasses and mappings that are no dict.
+_AS_CANONICAL = (
+    orjson.OPT_SORT_KEYS
+    | orjson.OPT_STRICT_INTEGER
+    | orjson.OPT_PASSTHROUGH_SUBCLASS
+    | orjson.OPT_PASSTHROUGH_DATACLASS
+    | orjson.OPT_PASSTHROUGH_DATETIME
+)
+_OTHERWISE = re.compile(rb"null|(?:^|[:,\[])-?[0-9]+(?:\.0(?![0-9])|(?:\.[0-9]+)?e)|[\xf0-\xff]")
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 
 
@@ -38,6 +52,15 @@ def canonical_bytes(value: Json) -> bytes:
     A float such as 1e17 is written without a point and read back as an integer: it is the same
     number, and has the same bytes again.
     """
+    try:
+        written = orjson.dumps(value, option=_AS_CANONICAL)
+    except TypeError:
+        return _by_the_letter(value)
+    return _by_the_letter(value) if _OTHERWISE.search(written) else written
+
+
+def _by_the_letter(value: Json) -> bytes:
+    """The bytes as rfc8785 writes them. Raises NotCanonical."""
     try:
         try:
             return rfc8785.dumps(value)

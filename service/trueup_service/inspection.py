@@ -25,7 +25,8 @@ from trueup.errors import BadArtifact, BadEpisode, TrueupError
 from trueup.recording.described import Described
 from trueup_service.errors import InspectionFailed
 
-LENGTH = "!Q"  # of a request, in front of it
+LENGTH = "!Q"  # of a request or a reply, in front of it
+QUESTIONS = 200  # that one child answers about manifests, which are small
 CPU_MARGIN_S = 1
 REFUSALS: dict[str, type[TrueupError]] = {"episode": BadEpisode, "artifact": BadArtifact}
 ENDING_S = 5.0  # for the inspector to end by itself [s]
@@ -58,6 +59,22 @@ def mcap_path(path: Path) -> Path:
     return path.with_suffix(".mcap")
 
 
+@dataclass(slots=True)
+class _Child:
+    """A child of the inspector, and how often it was asked."""
+
+    reader: asyncio.StreamReader
+    writer: asyncio.StreamWriter
+    asked: int = 0
+
+    async def ask(self, request: bytes) -> bytes:
+        """Its reply. Raises OSError, IncompleteReadError where it dies."""
+        self.asked += 1
+        self.writer.write(struct.pack(LENGTH, len(request)) + request)
+        (length,) = struct.unpack(LENGTH, await self.reader.readexactly(struct.calcsize(LENGTH)))
+        return await self.reader.readexactly(length)
+
+
 class Inspector:
     """Inspects uploads, up to a number at once. Its process is started with the first inspection,
     and again where it died."""
@@ -67,6 +84,7 @@ class Inspector:
         self._memory_bytes, self._timeout_s = memory_bytes, timeout_s
         self._process: subprocess.Popen[bytes] | None = None
         self._control: socket.socket | None = None
+        self._kept: list[_Child] = []
 
     async def inspect(
         self,
@@ -99,31 +117,45 @@ class Inspector:
             {
                 "manifest": manifest.decode(),
                 "arrays": None if arrays is None else str(arrays.absolute()),
-            }
+            },
+            small=arrays is None,
         )
 
-    async def _reply(self, question: Mapping[str, Json]) -> dict[str, Any]:
-        """The reply of a child of the inspector to a request. Raises what `inspect` raises."""
+    async def _reply(self, question: Mapping[str, Json], *, small: bool = False) -> dict[str, Any]:
+        """The reply of a child of the inspector to a request. Raises what `inspect` raises.
+
+        A child that answered a small request well is kept for the next small one, since to fork one
+        takes longer than to answer.
+        """
         limits = {"memory_bytes": self._memory_bytes, "cpu_s": int(self._timeout_s) + CPU_MARGIN_S}
         request = orjson.dumps({**question, **limits})
         async with self._slots:
-            reader, writer = await asyncio.open_connection(sock=self._child())
+            child = (self._kept.pop() if small and self._kept else None) or await self._new_child()
+            reply = None
             try:
-                writer.write(struct.pack(LENGTH, len(request)) + request)
-                reply = await asyncio.wait_for(reader.read(), self._timeout_s)
+                reply = await asyncio.wait_for(child.ask(request), self._timeout_s)
             except TimeoutError as error:
                 raise InspectionFailed(
                     f"the inspection took longer than {self._timeout_s:g} s",
                     limit="inspection_timeout_s",
                 ) from error
-            except OSError:
-                reply = b""  # the child died before it had read
+            except (OSError, asyncio.IncompleteReadError):
+                reply = b""  # the child died
             finally:
-                writer.close()  # a child that still works on it dies then
+                if small and reply and child.asked < QUESTIONS:
+                    self._kept.append(child)
+                else:
+                    child.writer.close()  # a child that still works on it dies then
         return _parsed(reply)
 
+    async def _new_child(self) -> _Child:
+        return _Child(*await asyncio.open_connection(sock=self._connection()))
+
     def close(self) -> None:
-        """End the inspector's process."""
+        """End the inspector's process and its children."""
+        for child in self._kept:
+            child.writer.close()
+        self._kept.clear()
         if self._process is not None and self._control is not None:
             self._control.close()
             try:
@@ -133,7 +165,7 @@ class Inspector:
                 self._process.wait()
         self._process = self._control = None
 
-    def _child(self) -> socket.socket:
+    def _connection(self) -> socket.socket:
         """A connection to a new child of the inspector."""
         ours, theirs = socket.socketpair()
         with theirs:

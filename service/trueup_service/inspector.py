@@ -3,8 +3,8 @@ each.
 
     python -m trueup_service.inspector < SOCKET
 
-Standard input is a socket. Each message on it brings another socket, from which the child reads its
-request, as a length and that many bytes of JSON, and on which it replies with one JSON document. A
+Standard input is a socket. Each message on it brings another socket, from which the child reads
+requests, each as a length and that many bytes of JSON, and on which it replies in the same way. A
 child that meets a limit, or whose caller hangs up, dies alone. Telemetry, and what is of another
 format, is first written as an MCAP file beside the received one.
 """
@@ -14,6 +14,7 @@ from __future__ import annotations
 import gc
 import json
 import os
+import queue
 import resource
 import signal
 import socket
@@ -124,24 +125,34 @@ def answer(request: dict[str, Any]) -> dict[str, Any]:
 
 def _child(asked: socket.socket) -> None:
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-    (length,) = struct.unpack(LENGTH, _exactly(asked, struct.calcsize(LENGTH)))
-    request = json.loads(_exactly(asked, length))
-    threading.Thread(target=_until_hung_up, args=(asked,), daemon=True).start()
-    resource.setrlimit(resource.RLIMIT_AS, (request["memory_bytes"],) * 2)
-    resource.setrlimit(resource.RLIMIT_CPU, (request["cpu_s"],) * 2)
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    asked.sendall(orjson.dumps(answer(request)))
+    requests: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=(asked, requests), daemon=True).start()
+    while True:
+        request = json.loads(requests.get())
+        used = resource.getrusage(resource.RUSAGE_SELF)
+        until_s = int(used.ru_utime + used.ru_stime) + request["cpu_s"]
+        resource.setrlimit(resource.RLIMIT_AS, (request["memory_bytes"],) * 2)
+        resource.setrlimit(resource.RLIMIT_CPU, (until_s, resource.RLIM_INFINITY))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        reply = orjson.dumps(answer(request))
+        asked.sendall(struct.pack(LENGTH, len(reply)) + reply)
 
 
-def _until_hung_up(asked: socket.socket) -> None:
-    asked.recv(1)
-    os._exit(0)
+def _listen(asked: socket.socket, requests: queue.SimpleQueue[bytes]) -> None:
+    """Takes requests until the caller hangs up, which ends what is being answered."""
+    while True:
+        (length,) = struct.unpack(LENGTH, _exactly(asked, struct.calcsize(LENGTH)))
+        requests.put(_exactly(asked, length))
 
 
 def _exactly(asked: socket.socket, count: int) -> bytes:
+    """So many bytes. The process ends where the caller is gone."""
     data = b""
     while len(data) < count:
-        part = asked.recv(min(count - len(data), 1 << 20))
+        try:
+            part = asked.recv(min(count - len(data), 1 << 20))
+        except OSError:
+            part = b""
         if not part:
             os._exit(0)
         data += part
