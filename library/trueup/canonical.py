@@ -20,9 +20,10 @@ Json: TypeAlias = "bool | int | float | str | Sequence[Json] | Mapping[str, Json
 
 # integers that JSON holds exactly, and what is written without an exponent
 EXACT, LARGEST_PLAIN = (2**53 - 1, 10**21)
-# orjson writes the same bytes as rfc8785, twenty times as fast, but for
-#   - null, which may have been a NaN
-#   - floats that it writes with an exponent, or with `.0`
+# orjson writes the same bytes as rfc8785, many times as fast, but for
+#   - NaN and infinities, as null
+#   - floats that are whole, as `1.0`, and -0.0
+#   - floats that it writes with an exponent
 #   - characters beyond 16 bits, by which it sorts keys otherwise
 # and it raises for what it does not know, such as subclasses and mappings that are no dict.
 _AS_CANONICAL = (
@@ -32,7 +33,10 @@ _AS_CANONICAL = (
     | orjson.OPT_PASSTHROUGH_DATACLASS
     | orjson.OPT_PASSTHROUGH_DATETIME
 )
-_OTHERWISE = re.compile(rb"null|(?:^|[:,\[])-?[0-9]+(?:\.0(?![0-9])|(?:\.[0-9]+)?e)|[\xf0-\xff]")
+_PERHAPS_EXPONENT = re.compile(rb"[0-9]e[-+0-9]")
+_EXPONENT = re.compile(rb"(?<![a-z0-9.])[-0-9.]+e[-+0-9]")
+_WHOLE = re.compile(rb"[0-9]\.0(?![0-9])")
+_BEYOND_16_BITS = re.compile(rb"[\xf0-\xff]")
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 
 
@@ -52,11 +56,24 @@ def canonical_bytes(value: Json) -> bytes:
     A float such as 1e17 is written without a point and read back as an integer: it is the same
     number, and has the same bytes again.
     """
+    written = _quickly(value)
+    return _by_the_letter(value) if written is None else written
+
+
+def _quickly(value: Json) -> bytes | None:
+    """The bytes as orjson writes them, None where they may not be canonical."""
     try:
         written = orjson.dumps(value, option=_AS_CANONICAL)
     except TypeError:
-        return _by_the_letter(value)
-    return _by_the_letter(value) if _OTHERWISE.search(written) else written
+        return None
+    if (
+        (_PERHAPS_EXPONENT.search(written) and _EXPONENT.search(written))
+        or (not written.isascii() and _BEYOND_16_BITS.search(written))
+        or _WHOLE.search(written)
+        or (b"null" in written and orjson.loads(written) != value)  # a NaN is no null
+    ):
+        return None
+    return written
 
 
 def _by_the_letter(value: Json) -> bytes:
