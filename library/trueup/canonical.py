@@ -63,7 +63,7 @@ def canonical_bytes(value: Json) -> bytes:
 def _quickly(value: Json) -> bytes | None:
     """The bytes as orjson writes them, None where they may not be canonical."""
     try:
-        written = orjson.dumps(value, option=_AS_CANONICAL)
+        written = orjson.dumps(value, _plain_text, _AS_CANONICAL)
     except TypeError:
         return None
     if (
@@ -74,6 +74,14 @@ def _quickly(value: Json) -> bytes | None:
     ):
         return None
     return written
+
+
+def _plain_text(value: object) -> str:
+    """A text of a class of its own, such as a name of an enumeration, as text. Raises TypeError for
+    anything else."""
+    if isinstance(value, str):
+        return str.__str__(value)
+    raise TypeError
 
 
 def _by_the_letter(value: Json) -> bytes:

@@ -26,6 +26,12 @@ _SIZE = select(t.audit_head.c.size).where(t.audit_head.c.id == 1).scalar_subquer
 _MOVE_HEAD = update(t.audit_head).values(
     size=bindparam("new_size"), frontier=bindparam("new_frontier")
 )
+_FIRST = (
+    select(t.audit)
+    .where(t.audit.c.subject == bindparam("of_subject"), t.audit.c.kind == bindparam("of_kind"))
+    .order_by(t.audit.c.sequence)
+    .limit(1)
+)
 _NODES = select(t.audit_tree).where(t.audit_tree.c.node.in_(bindparam("nodes", expanding=True)))
 
 
@@ -119,8 +125,9 @@ class AuditLog:
 
     def first_entry(self, subject: str, kind: str) -> AuditEntry | None:
         """The first entry of a kind on a subject."""
-        query = select(t.audit).where(t.audit.c.subject == subject, t.audit.c.kind == kind)
-        return next(iter(self._all(query.order_by(t.audit.c.sequence).limit(1))), None)
+        return self._gateway.one(
+            AuditEntry, t.audit, _FIRST, {"of_subject": subject, "of_kind": kind}
+        )
 
     def positions(self, plant: str, kind: str, subjects: Sequence[str]) -> dict[str, int]:
         """The sequence of the first entry of a kind on each of these subjects of a plant. A subject

@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
-from sqlalchemy import ColumnElement, bindparam, func, select
+from sqlalchemy import ColumnElement, Select, bindparam, func, select
 
 from trueup_service.registry import tables as t
 from trueup_service.registry.records import Approval, DecisionRecord
 from trueup_service.registry.repository import Repository
 
+
+def _on_episodes(condition: ColumnElement[bool]) -> Select[Any]:
+    """Decisions on any of some episodes, `digests`."""
+    reads = select(t.job_reads.c.job).where(
+        t.job_reads.c.purpose == "gate",
+        t.job_reads.c.digest.in_(bindparam("digests", expanding=True)),
+    )
+    return select(t.decisions).where(t.decisions.c.job.in_(reads), condition)
+
+
+_IS_REJECTED = t.decisions.c.accepted.is_(False)
+_REJECTED_ON_EPISODES = _on_episodes(_IS_REJECTED)
 _DECISION = select(t.decisions).where(t.decisions.c.digest == bindparam("digest"))
 
 
@@ -38,14 +51,15 @@ class Decisions(Repository[DecisionRecord]):
         of_project = select(t.plants.c.name).where(
             t.plants.c.project.is_(None) if project is None else t.plants.c.project == project
         )
-        return self._concerning([candidate], plant, episodes, t.decisions.c.plant.in_(of_project))
+        of_plants = t.decisions.c.plant.in_(of_project)
+        return self._concerning([candidate], plant, episodes, of_plants, _on_episodes(of_plants))
 
     def rejections_of(
         self, plant: str, candidates: Sequence[str], episodes: Sequence[str]
     ) -> list[DecisionRecord]:
         """Rejections of some candidates, and those of all plants of all projects on any of these
         episodes, in the order in which they were made."""
-        return self._concerning(candidates, plant, episodes, t.decisions.c.accepted.is_(False))
+        return self._concerning(candidates, plant, episodes, _IS_REJECTED, _REJECTED_ON_EPISODES)
 
     def _concerning(
         self,
@@ -53,12 +67,8 @@ class Decisions(Repository[DecisionRecord]):
         plant: str,
         episodes: Sequence[str],
         condition: ColumnElement[bool],
+        on_episodes: Select[Any],
     ) -> list[DecisionRecord]:
-        reads = select(t.job_reads.c.job).where(
-            t.job_reads.c.purpose == "gate",
-            t.job_reads.c.digest.in_(bindparam("digests", expanding=True)),
-        )
-        on_episodes = select(t.decisions).where(t.decisions.c.job.in_(reads), condition)
         on_candidates = select(t.decisions).where(
             t.decisions.c.plant == plant, t.decisions.c.candidate.in_(candidates), condition
         )

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sqlalchemy import func, select, update
+from sqlalchemy import bindparam, func, select, update
 
 from trueup.canonical import Json
 from trueup_service.registry import tables as t
 from trueup_service.registry.records import AlarmRecord, MonitorRecord, Watch, Watching
 from trueup_service.registry.repository import Repository, values_of
 from trueup_service.registry.row_format import document_text
+
+_OPEN = (
+    select(t.alarms)
+    .where(t.alarms.c.plant == bindparam("plant"), t.alarms.c.closed_at.is_(None))
+    .order_by(t.alarms.c.raised_at)
+    .limit(1)
+)
 
 
 class Monitors(Repository[MonitorRecord]):
@@ -106,8 +113,7 @@ class Alarms(Repository[AlarmRecord]):
 
     def open(self, plant: str) -> AlarmRecord | None:
         """The alarm of a plant that is open."""
-        query = select(t.alarms).where(t.alarms.c.plant == plant, t.alarms.c.closed_at.is_(None))
-        return self._one(query.order_by(t.alarms.c.raised_at).limit(1))
+        return self._one(_OPEN, plant=plant)
 
     def update(self, alarm: str, **values: str | None) -> bool:
         """Give an open alarm its diagnosis or its trial, or close it. Returns False where it is
