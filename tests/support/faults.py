@@ -2,8 +2,8 @@
 
 A fault is armed by the file that FAULT_FILE names, which holds `<what> <n>`. At the n-th step from
 then on the process is killed (`kill`), or that step fails (`ENOSPC`, `EIO`, …), and the file is
-removed. Steps are each write of an upload, fsync, link, rename, put into a store, and both sides of
-each commit.
+removed; compute processes of a worker count their steps, too. Steps are each write of an upload,
+fsync, link, rename, put into a store, and both sides of each commit.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -85,8 +86,21 @@ def install() -> None:
     DefaultDialect.do_commit = do_commit  # type: ignore[method-assign]
 
 
+def serve(file: Path, *arguments: Any) -> None:
+    """Runs a compute process of a worker with the same faults in it."""
+    from trueup_worker.compute_process import _serve
+
+    global FILE  # noqa: PLW0603  (of the process that this one computes for)
+    FILE = file
+    install()
+    _serve(*arguments)
+
+
 if __name__ == "__main__":
+    from tests.support import faults  # noqa: PLW0406  (the copy that others can import)
     from trueup_cli.main import main
+    from trueup_worker import compute_process
 
     install()
+    compute_process._serve = partial(faults.serve, FILE)
     main()
