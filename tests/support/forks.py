@@ -34,6 +34,8 @@ PRELOADED = [
 importlib.import_module("trueup_worker.compute_process")
 _context = multiprocessing.get_context("forkserver")
 _context.set_forkserver_preload(PRELOADED)
+# by which a process reaches the one that forks; the key from Python 3.14 on
+REACHED_BY = ("_forkserver_address", "_forkserver_authkey")
 
 
 class Forked:
@@ -50,9 +52,13 @@ class Forked:
         """`outputs` are the descriptors for its standard output and standard error."""
         passed = [_Descriptor(number) for number in outputs]
         forkserver._forkserver.ensure_running()
-        address = forkserver._forkserver._forkserver_address
+        server = {
+            name: value
+            for name, value in vars(forkserver._forkserver).items()
+            if name in REACHED_BY
+        }
         self._process = _context.Process(
-            target=_run, args=(module, list(arguments), dict(environment), cwd, passed, address)
+            target=_run, args=(module, list(arguments), dict(environment), cwd, passed, server)
         )
         self._process.start()
         self.pid = self._process.pid
@@ -119,10 +125,10 @@ def _run(
     environment: dict[str, str],
     cwd: Path,
     outputs: Sequence[int],
-    address: str,
+    server: dict[str, Any],
 ) -> None:
     # The compute processes of a worker are forked from the process that this one was forked from.
-    forkserver._forkserver._forkserver_address = address
+    vars(forkserver._forkserver).update(server)
     forkserver._forkserver.ensure_running = lambda: None
     for number, file in enumerate(outputs, 1):
         os.dup2(file, number)
