@@ -26,12 +26,17 @@ def one_arena() -> bool:
     return bool(limit is not None and limit(ARENAS, 1) == 1)
 
 
+def own_cores() -> list[int]:
+    """The numbers of the cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return sorted(os.sched_getaffinity(0))
+    return list(range(os.cpu_count() or 1))
+
+
 @cache
 def cores() -> int:
-    """Cores that this process may use."""
-    return (
-        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
-    )
+    """How many cores this process may use."""
+    return len(own_cores())
 
 
 def in_parallel(work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:

@@ -11,10 +11,11 @@ from typing import Any
 
 from trueup.blindtrial.conduct import DiagnoseAll, Progress, Secret, side_by_side
 from trueup.blindtrial.conduct import conduct as conduct_with
+from trueup.cores import own_cores
 from trueup.episode.episode import Episode
 from trueup.errors import TrueupError
 from trueup.model.plant import Plant
-from trueup_worker.isolated_process import NO_ANSWER, IsolatedProcess, own_cores
+from trueup_worker.isolated_process import NO_ANSWER, IsolatedProcess
 
 SECRET_BYTES = 32
 

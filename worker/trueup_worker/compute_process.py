@@ -17,7 +17,7 @@ import resource
 import signal
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
@@ -128,7 +128,7 @@ class Pool(Generic[P]):
 
     def __init__(self, processes: Sequence[P]) -> None:
         self._free: queue.SimpleQueue[P] = queue.SimpleQueue()
-        self._all = processes
+        self._all = tuple(processes)
         for process in processes:
             self._free.put(process)
 
@@ -142,10 +142,12 @@ class Pool(Generic[P]):
             self._free.put(process)
 
     def close(self) -> None:
-        """Ends every process, once it is free."""
-        with ExitStack() as stack:
-            for process in [stack.enter_context(self.one()) for _ in self._all]:
+        """Ends the processes that are free. One at work stays: nobody may wait for it."""
+        for _ in self._all:
+            with suppress(queue.Empty):
+                process = self._free.get_nowait()
                 process.close()
+                self._free.put(process)
 
 
 def _how_it_ended(code: int | None) -> str:

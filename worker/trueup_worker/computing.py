@@ -4,21 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from trueup.canonical import Json
+from trueup.cores import own_cores
 from trueup_service.actions import find
 from trueup_service.registry.records import JobState
 from trueup_service.registry.transaction import reading, writing
 from trueup_service.wiring import Parts
 from trueup_worker.compute_process import ComputeProcess, OutOfTime, Pool, ProcessEnded
-from trueup_worker.isolated_process import IsolatedProcess, own_cores
+from trueup_worker.isolated_process import IsolatedProcess
+from trueup_worker.job_problems import TimeLimit, problem_of
 from trueup_worker.trial_case import diagnose_case
-
-OUT_OF_TIME: dict[str, Json] = {
-    "code": "time-limit",
-    "detail": "the job took longer than it may",
-    "hint": "Raise TRUEUP_JOB_TIME_LIMIT_S at the workers, or submit it with fewer episodes.",
-    "facts": {},
-}
 
 
 class Computing:
@@ -42,7 +36,7 @@ class Computing:
             try:
                 computed = self._tried(process, job_id, "compute", job_id, self._worker)
             except OutOfTime:
-                return {"state": JobState.FAILED.value, "problem": OUT_OF_TIME}
+                return {"state": JobState.FAILED.value, "problem": problem_of(TimeLimit())}
         return dict(computed)
 
     def finish(self, job_id: str, computed: dict[str, Any]) -> str:
@@ -60,7 +54,7 @@ class Computing:
             try:
                 answer = self._tried(process, entry, "part", entry, job_id, asked, self._worker)
             except OutOfTime:
-                return {"problem": OUT_OF_TIME}
+                return {"problem": problem_of(TimeLimit())}
         return dict(answer)
 
     def rest(self) -> None:

@@ -102,15 +102,6 @@ def _asked(process: subprocess.Popen[str], folder: Path) -> Mapping[str, Any] | 
     return answer
 
 
-def own_cores() -> list[int]:
-    """The numbers of the cores that this process may use."""
-    return (
-        sorted(os.sched_getaffinity(0))
-        if hasattr(os, "sched_getaffinity")
-        else list(range(os.cpu_count() or 1))
-    )
-
-
 def main() -> None:
     """Diagnoses folders until the standard input ends."""
     from trueup.blindtrial.diagnosing import answer_of  # noqa: PLC0415  (loads what a parent need not)

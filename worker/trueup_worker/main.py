@@ -15,6 +15,7 @@ from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 
+from trueup.cores import own_cores
 from trueup_service.engine import DBOS, DBOSConfig, DBOSPortableJSONSerializer, StepOptions
 from trueup_service.jobs import (
     ENGINE_VERSION,
@@ -28,7 +29,6 @@ from trueup_service.jobs import (
 from trueup_service.registry.transaction import writing
 from trueup_service.wiring import Parts
 from trueup_worker.computing import Computing
-from trueup_worker.isolated_process import own_cores
 from trueup_worker.liveness import Liveness, liveness_of
 from trueup_worker.recovery import recover, require_held
 from trueup_worker.schedule import run_schedule
@@ -70,14 +70,16 @@ def work(parts: Parts, *, with_parent: bool = False) -> None:
     threading.Thread(target=computing.warm_up, daemon=True).start()
     parts.queue.prepare()
     log.info("working", extra={"worker": name})
-    _work_and_sleep(parts, name, liveness, stop)
+    _work_and_sleep(parts, name, computing, liveness, stop)
     log.info("stopping", extra={"worker": name})
     with suppress(SQLAlchemyError), writing(parts.database) as tx:
         tx.attempts.end_all(name)
     os._exit(0)  # another worker resumes a job under way
 
 
-def _work_and_sleep(parts: Parts, name: str, liveness: Liveness, stop: threading.Event) -> None:
+def _work_and_sleep(
+    parts: Parts, name: str, computing: Computing, liveness: Liveness, stop: threading.Event
+) -> None:
     while not stop.is_set():
         sleep_until_work(parts.database, stop, lambda: require_held(liveness))
         if stop.is_set():
@@ -86,6 +88,7 @@ def _work_and_sleep(parts: Parts, name: str, liveness: Liveness, stop: threading
         recover(parts.database, liveness, name, parts.settings.takeover_interval_s, stop)
         if not stop.is_set():
             DBOS.destroy(workflow_completion_timeout_sec=DRAIN_S)
+            computing.rest()
 
 
 def _register(computing: Computing) -> None:

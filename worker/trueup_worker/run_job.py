@@ -39,6 +39,7 @@ from trueup_worker import (
     run_validation,
     run_watch,
 )
+from trueup_worker.job_problems import MemoryLimit, ProcessDied, problem_of
 from trueup_worker.progress import Cancelled, Progress
 
 log = logging.getLogger("trueup.worker")
@@ -57,30 +58,6 @@ KINDS: dict[str, ModuleType] = {
     "closedloop": run_closedloop,
     "randomise": run_randomise,
 }
-
-
-class ProcessDied(TrueupError):
-    """The process or the worker died each time that the job was begun."""
-
-    code = "process-died"
-    hint = (
-        "Read what is known of the last attempt: a job that runs out of memory needs a worker with "
-        "more, a crash in compiled code is worth a report. Then submit it again."
-    )
-
-
-class MemoryLimit(TrueupError):
-    """The job needs more memory than its process may hold."""
-
-    code = "memory-limit"
-    hint = "Raise TRUEUP_JOB_MEMORY_LIMIT_BYTES at the workers, or submit it with fewer episodes."
-
-
-class TimeLimit(TrueupError):
-    """The job took longer than it may."""
-
-    code = "time-limit"
-    hint = "Raise TRUEUP_JOB_TIME_LIMIT_S at the workers, or submit it with fewer episodes."
 
 
 def compute(parts: Parts, job_id: str, worker: str) -> dict[str, Json]:
@@ -209,16 +186,6 @@ def _close(
 ) -> None:
     with writing(parts.database) as tx:
         finish_job(tx, job, state, {"problem": problem}, context)
-
-
-def problem_of(error: TrueupError) -> dict[str, Json]:
-    """Returns an error as the problem of a job."""
-    return {
-        "code": error.code,
-        "detail": error.message,
-        "hint": error.hint,
-        "facts": {k: str(v) for k, v in error.facts.items()},
-    }
 
 
 def _now() -> str:

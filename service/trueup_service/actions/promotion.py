@@ -18,6 +18,7 @@ from trueup.errors import PointerMoved, TrueupError
 from trueup_service.actions import find
 from trueup_service.actions.approve import require_approvals
 from trueup_service.actions.continue_cycle import Cycle
+from trueup_service.actions.gate_line import DECIDED
 from trueup_service.actions.idempotency import run_once
 from trueup_service.actions.move_pointer import (
     Older,
@@ -27,7 +28,6 @@ from trueup_service.actions.move_pointer import (
     promote_decision,
     roll_back_pointer,
 )
-from trueup_service.actions.record_decision import DECISION_MADE
 from trueup_service.actor_context import ActorContext
 from trueup_service.errors import SwitchbackFailed
 from trueup_service.registry.blobs import Blobs
@@ -164,10 +164,11 @@ def _rehearse_promotion(
         if not made.accepted or made.generation != serving.generation:
             return {}
         incumbent = find.artifact(tx, plant, made.incumbent)
-        entry = tx.log.first_entry(decision, DECISION_MADE)
-        rehearsed: Any = {} if entry is None else entry.facts.get("rehearsed") or {}
-        if rehearsed.get("loaded_by") == code_identity() and is_intact(parts.blobs, incumbent):
-            return dict(rehearsed)
+        entry = tx.log.first_entry(decision, DECIDED)
+    rehearsed: Any = {} if entry is None else entry.facts.get("rehearsed") or {}
+    if rehearsed.get("loaded_by") == code_identity() and is_intact(parts.blobs, incumbent):
+        return dict(rehearsed)
+    with reading(parts.database) as tx:
         candidate = find.artifact(tx, plant, made.candidate)
         plant_digest = find.plant_digest(tx, plant)
         gate = find.gate(tx, plant, made.gate)

@@ -8,11 +8,10 @@ from typing import Any
 
 from trueup.canonical import Json, digest_of
 from trueup.ledger.operation import Operation
+from trueup_service.actions.gate_line import DECIDED
 from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import DecisionRecord
 from trueup_service.registry.transaction import Transaction
-
-DECISION_MADE = "decision:made"
 
 
 def record_decision(
@@ -48,5 +47,5 @@ def record_decision(
     facts: dict[str, Json] = {"operation": Operation.CORRECTION, "decision": document, "job": job}
     if rehearsed:
         facts["rehearsed"] = dict(rehearsed)
-    tx.log.append(context, DECISION_MADE, plant=plant, subject=digest, facts=facts)
+    tx.log.append(context, DECIDED, plant=plant, subject=digest, facts=facts)
     return record
