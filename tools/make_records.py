@@ -14,7 +14,7 @@ RECORDS = (
     "Output", "Job", "JobWithReads", "Decision", "Approval", "Evidence",
     "Channel",
     "ChannelPosition", "Policy", "Monitor", "Watch", "Alarm", "MonitorState", "Project", "Token",
-    "IssuedToken", "Identity", "AuditEntry",
+    "IssuedToken", "Webhook", "DeclaredWebhook", "Identity", "AuditEntry",
     "Envelope",
 )  # fmt: skip
 PLAIN = {
@@ -48,18 +48,24 @@ def module(document):
     fields = [
         f"    {name}: {kind(schema)}" for name, schema in schemas["Serving"]["properties"].items()
     ]
-    return (
-        HEAD + "\n".join(fields) + "\n" + "".join(record(name, schemas[name]) for name in RECORDS)
-    )
+    return HEAD + "\n".join(fields) + "\n" + "".join(record(name, schemas) for name in RECORDS)
 
 
-def record(name, schema):
-    """Returns one record as a class."""
+def record(name, schemas):
+    """Returns one record as a class, of which another record is the base if this one extends it."""
+    schema = schemas[name]
     description = schema.get("description") or f"{name}, as the service keeps it."
     docstring = textwrap.fill(" ".join(description.split()), 90)
     docstring = docstring.replace("\n", "\n    ") + ("\n    " if "\n" in docstring else "")
-    fields = [f"    {key}: {kind(value)}" for key, value in schema["properties"].items()]
-    return f'\n\nclass {name}(TypedDict):\n    """{docstring}"""\n\n' + "\n".join(fields) + "\n"
+    extended = next((r for r in RECORDS if name != r and name.endswith(r)), None)
+    base = {} if extended is None else schemas[extended]["properties"]
+    fields = [
+        f"    {key}: {kind(value)}"
+        for key, value in schema["properties"].items()
+        if key not in base
+    ]
+    of = extended or "TypedDict"
+    return f'\n\nclass {name}({of}):\n    """{docstring}"""\n\n' + "\n".join(fields) + "\n"
 
 
 def kind(schema):

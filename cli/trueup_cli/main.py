@@ -153,6 +153,7 @@ _COMMANDS = {
     "whoami": ("access:whoami", "Show who you are to the service.", CALLS_SERVICE),
     "token": ("access:tokens", "Issue, list and revoke tokens.", CALLS_SERVICE),
     "project": ("access:projects", "Create and list projects.", CALLS_SERVICE),
+    "webhook": ("webhooks:app", "Tell other services what happens.", CALLS_SERVICE),
     "audit": ("audit:app", "Print or verify the audit log.", VERIFIES),
     "replay": ("replay:replay", "Recompute a decision, and check that it agrees.", VERIFIES),
     "backup": (
@@ -202,7 +203,15 @@ _COMMANDS = {
     "demo": ("demo:demo", "Run the main job on a real recording.", LOCAL),
 }
 # which have help and exit codes of their own
-APPS = "plant:app", "audit:app", "mlflow:app", "oci:app", "access:tokens", "access:projects"
+APPS = (
+    "plant:app",
+    "audit:app",
+    "mlflow:app",
+    "oci:app",
+    "access:tokens",
+    "access:projects",
+    "webhooks:app",
+)
 for _name, (_target, _help, _codes) in _COMMANDS.items():
     app.command(
         f"trueup_cli.{_target}",

@@ -17,6 +17,7 @@ from trueup_client.async_calls.jobs import AsyncJobCalls
 from trueup_client.async_calls.monitoring import AsyncMonitoringCalls
 from trueup_client.async_calls.plants import AsyncPlantCalls
 from trueup_client.async_calls.serving import AsyncServingCalls
+from trueup_client.async_calls.webhooks import AsyncWebhookCalls
 from trueup_client.client import Client
 from trueup_client.pool import Pool
 
@@ -30,6 +31,7 @@ class AsyncClient(
     AsyncMonitoringCalls,
     AsyncAccessCalls,
     AsyncAuditCalls,
+    AsyncWebhookCalls,
 ):
     """Talks to one service, with at most `at_once` requests on their way.
 

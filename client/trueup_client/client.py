@@ -12,6 +12,7 @@ from trueup_client.calls.jobs import JobCalls
 from trueup_client.calls.monitoring import MonitoringCalls
 from trueup_client.calls.plants import PlantCalls
 from trueup_client.calls.serving import ServingCalls
+from trueup_client.calls.webhooks import WebhookCalls
 from trueup_client.connection import Connection
 
 DEFAULT_URL = "http://127.0.0.1:8321"
@@ -26,6 +27,7 @@ class Client(
     MonitoringCalls,
     AccessCalls,
     AuditCalls,
+    WebhookCalls,
 ):
     """Talks to one service. Not for several threads at once: give each its own.
 

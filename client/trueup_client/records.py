@@ -318,20 +318,37 @@ class Token(TypedDict):
     revoked_by: str | None
 
 
-class IssuedToken(TypedDict):
+class IssuedToken(Token):
     """A token that was issued now, with its secret."""
 
-    prefix: str
+    token: str
+
+
+class Webhook(TypedDict):
+    """A webhook, without its URL and secret, and how it is doing."""
+
     name: str
-    roles: list[str]
+    host: str
+    form: str
+    events: list[str]
     project: str | None
     plant: str | None
     created_at: str
     created_by: str
-    expires_at: str | None
-    revoked_at: str | None
-    revoked_by: str | None
-    token: str
+    removed_at: str | None
+    removed_by: str | None
+    state: str
+    sent: int
+    attempts: int
+    problem: str | None
+    failing_since: str | None
+    due_at: str | None
+
+
+class DeclaredWebhook(Webhook):
+    """A webhook that was declared now, with its secret."""
+
+    secret: str
 
 
 class Identity(TypedDict):

@@ -257,6 +257,16 @@ class UnknownHost(TrueupError):
     hint = "Ask it by its address or its name; whoever runs it adds a name to TRUEUP_ALLOWED_HOSTS."
 
 
+class WebhookRefused(TrueupError):
+    """The service may not send to that address."""
+
+    code = "webhook-refused"
+    hint = (
+        "Whoever runs the service allows hosts in TRUEUP_WEBHOOK_HOSTS, and private addresses in "
+        "TRUEUP_WEBHOOK_PRIVATE_RANGES."
+    )
+
+
 class Unauthenticated(TrueupError):
     """Nobody is known by what was sent."""
 

@@ -27,8 +27,11 @@ QUEUE = "trueup"
 WATCHING = "trueup.watching"
 # Parts of jobs run on one core each, beside the job that waits for them.
 PARTS = "trueup.parts"
+# Deliveries of events wait for other machines, and take no core.
+WEBHOOKS = "trueup.webhooks"
 WORKFLOW = "trueup.job"
 PART = "trueup.part"
+DELIVERY = "trueup.delivery"
 PART_PREFIX = "part."  # of a part's name; the job's id and the digest of what is asked follow
 # Of what is queued, not of the code: a new release must take up what an old one queued.
 ENGINE_VERSION = "1"
@@ -91,6 +94,17 @@ class JobQueue:
         if (alone := alone_with(kind, plant)) is not None:
             options["queue_partition_key"] = alone
         self._client.enqueue_in_transaction(connection, options, job)
+        self._notify(connection)
+
+    def enqueue_delivery(self, connection: Connection, entry: str, webhook: str) -> None:
+        """Queue a delivery of events to a webhook in the caller's transaction."""
+        options: EnqueueOptions = {
+            "workflow_name": DELIVERY,
+            "queue_name": WEBHOOKS,
+            "workflow_id": entry,
+            "app_version": ENGINE_VERSION,
+        }
+        self._client.enqueue_in_transaction(connection, options, webhook)
         self._notify(connection)
 
     def knows(self, job: str) -> bool:

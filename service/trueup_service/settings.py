@@ -3,11 +3,14 @@ its unit."""
 
 from __future__ import annotations
 
+import ipaddress
 from functools import cached_property
 from pathlib import Path
 
-from pydantic import Field, SecretStr
+from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from trueup_service.host_names import listed
 
 
 class Settings(BaseSettings):
@@ -172,6 +175,22 @@ class Settings(BaseSettings):
     schedule_interval_s: float = Field(
         30.0, gt=0, description="Time between a worker's looks for validations that are due [s]."
     )
+    webhook_hosts: str | None = Field(
+        None,
+        description="Hosts that webhooks may be declared for: comma-separated names, "
+        "`*.example.com` for every name below it; unset: no webhooks.",
+    )
+    webhook_private_ranges: str | None = Field(
+        None,
+        description="Ranges of private addresses that webhooks may reach, and without TLS, such "
+        "as 10.0.0.0/8: comma-separated; unset: public addresses by https alone.",
+    )
+    webhook_retry_s: float = Field(
+        259_200.0,
+        gt=0,
+        description="How long a webhook is retried that fails, at most an hour apart [s]; then "
+        "it is stopped, until somebody resumes it.",
+    )
     signing_key: SecretStr | None = Field(
         None,
         description="Private key that signs the log, one line of `trueup keygen`; unset: "
@@ -213,6 +232,14 @@ class Settings(BaseSettings):
         86_400.0, gt=0, description="How long a robot may rely on a signed serving answer [s]."
     )
     log_level: str = Field("INFO", description="Least severe level that is logged.")
+
+    @field_validator("webhook_private_ranges")
+    @classmethod
+    def _require_ranges(cls, value: str | None) -> str | None:
+        """Raises ValueError for a range that is none."""
+        for text in listed(value):
+            ipaddress.ip_network(text)
+        return value
 
     @cached_property
     def sqlalchemy_url(self) -> str:

@@ -12,11 +12,14 @@ import re
 import shlex
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from itertools import islice
 
 import numpy as np
 import pytest
+from cloudevents.core.bindings.http import HTTPMessage, from_structured_event
+from cloudevents.core.formats.json import JSONFormat
 
 from tests.support import forks, recorded
 from tests.support.case import write_recordings
@@ -35,6 +38,7 @@ from trueup.randomise.randomisation import Randomisation
 from trueup.recording.mapping import read_mapping
 from trueup_cli.main import app
 from trueup_client import Client
+from trueup_worker.webhook_requests import signature
 
 EXAMPLE = ROOT / "examples" / "emps"
 FENCE = re.compile(r"^```([^\n]*)\n(.*?)^```", flags=re.MULTILINE | re.DOTALL)
@@ -111,6 +115,7 @@ def test_every_snippet_is_of_a_kind_that_is_tested():
         "recordings.md",
         "robots.md",
         "simulators.md",
+        "webhooks.md",
     }
 
 
@@ -298,3 +303,22 @@ def test_the_simulator_of_a_page_is_one(tmp_path):
     document = json.loads((EXAMPLE / "plant.json").read_text()) | json.loads(f"{{{text}}}")
     plant = Plant.from_document(resolved(document, tmp_path))
     assert plant.dynamics.parameter_names == ("damping", "inertia", "kt", "mgl")
+
+
+def test_the_event_of_the_page_is_a_cloudevent_that_its_receiver_accepts():
+    page = ROOT / "docs" / "webhooks.md"
+    (event,), (receiver,) = snippets(page, "json"), snippets(page, "python")
+    headers = {"Content-Type": "application/cloudevents+json"}
+    read = from_structured_event(HTTPMessage(headers, event.encode()), JSONFormat())
+    assert read.get_type() == "trueup.decision.made"
+    names: dict = {}
+    exec(receiver, names)
+    secret, now_s = "whsec_" + "c2VjcmV0" * 4, int(time.time())
+    sent = {
+        "webhook-id": read.get_id(),
+        "webhook-timestamp": str(now_s),
+        "webhook-signature": signature(secret, read.get_id(), now_s, event.encode()),
+    }
+    assert names["verify"](secret, sent, event.encode())
+    assert not names["verify"](secret, sent, event.encode() + b" ")
+    assert not names["verify"](secret, sent | {"webhook-timestamp": "1"}, event.encode())

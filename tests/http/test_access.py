@@ -34,6 +34,7 @@ NOTHING = {
     "table": "plants",
     "name": "none",
     "kind": "openloop",
+    "webhook": "none",
 }
 ROUTES = [
     (method, route)

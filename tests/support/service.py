@@ -32,11 +32,17 @@ class Service:
         self._settings = {f"TRUEUP_{name.upper()}": str(value) for name, value in settings.items()}
         self.port = free_port()
         self._children: list[Forked] = []
+        self._workers: list[Forked] = []
 
     @property
     def url(self) -> str:
         """The server's address."""
         return f"http://127.0.0.1:{self.port}"
+
+    @property
+    def workers(self) -> list[Forked]:
+        """The workers that run."""
+        return [worker for worker in self._workers if worker.returncode is None]
 
     @contextmanager
     def running(self, worker: bool = True, kept: bool = False) -> Iterator[Service]:
@@ -61,7 +67,9 @@ class Service:
 
     def start_worker(self, module: str = "trueup_cli.main") -> Forked:
         """Starts a worker."""
-        return self._start(module, "work")
+        worker = self._start(module, "work")
+        self._workers.append(worker)
+        return worker
 
     def stop(self, children: Sequence[Forked] | None = None) -> None:
         """Stops all processes, or some of them."""

@@ -1,5 +1,5 @@
-"""One worker process: the job engine while there are jobs, the recovery of jobs, the schedule, and
-what is kept for a limited time."""
+"""One worker process: the job engine while there are jobs, the recovery of jobs, the schedule, the
+deliveries of events, and what is kept for a limited time."""
 
 from __future__ import annotations
 
@@ -18,17 +18,20 @@ from sqlalchemy.exc import SQLAlchemyError
 from trueup.cores import own_cores
 from trueup_service.engine import DBOS, DBOSConfig, DBOSPortableJSONSerializer, StepOptions
 from trueup_service.jobs import (
+    DELIVERY,
     ENGINE_VERSION,
     PART,
     PARTS,
     QUEUE,
     WATCHING,
+    WEBHOOKS,
     WORKFLOW,
     plain_url,
 )
 from trueup_service.registry.transaction import writing
 from trueup_service.wiring import Parts
 from trueup_worker.computing import Computing
+from trueup_worker.deliveries import deliver, run_deliveries
 from trueup_worker.liveness import Liveness, liveness_of
 from trueup_worker.recovery import recover, require_held
 from trueup_worker.schedule import run_schedule
@@ -38,6 +41,7 @@ from trueup_worker.tidying import run_tidying
 log = logging.getLogger("trueup.worker")
 
 WATCHED_AT_ONCE = 4  # a job begins when the queue is polled; one at a time would be ten a second
+DELIVERED_AT_ONCE = 4  # webhooks
 DRAIN_S = 1  # that the engine waits for its workflows when it is ended; there are none
 # a minute of a lost database
 RETRIED: StepOptions = {
@@ -65,8 +69,9 @@ def work(parts: Parts, *, with_parent: bool = False) -> None:
         target=run_schedule, args=(parts, parts.settings.schedule_interval_s, stop), daemon=True
     ).start()
     threading.Thread(target=run_tidying, args=(parts, stop), daemon=True).start()
+    threading.Thread(target=run_deliveries, args=(parts, stop), daemon=True).start()
     computing = Computing(parts, name)
-    _register(computing)
+    _register(parts, computing)
     threading.Thread(target=computing.warm_up, daemon=True).start()
     parts.queue.prepare()
     log.info("working", extra={"worker": name})
@@ -91,7 +96,7 @@ def _work_and_sleep(
             computing.rest()
 
 
-def _register(computing: Computing) -> None:
+def _register(parts: Parts, computing: Computing) -> None:
     """Names what the engine runs. Called once, since names stay while the engine is away."""
 
     @DBOS.workflow(name=PART)  # type: ignore[untyped-decorator]
@@ -104,6 +109,11 @@ def _register(computing: Computing) -> None:
     def job(job_id: str) -> str:
         computed = DBOS.run_step({"name": "compute", **RETRIED}, computing.compute, job_id)
         return str(DBOS.run_step({"name": "finish", **RETRIED}, computing.finish, job_id, computed))
+
+    @DBOS.workflow(name=DELIVERY)  # type: ignore[untyped-decorator]
+    def delivery(webhook: str) -> None:
+        entry = DBOS.workflow_id
+        DBOS.run_step({"name": "deliver", **RETRIED}, deliver, parts, entry, webhook)
 
 
 def _launch(parts: Parts, name: str) -> None:
@@ -120,7 +130,12 @@ def _launch(parts: Parts, name: str) -> None:
     DBOS(config=config)
     DBOS.launch()
     every_s = parts.settings.job_poll_interval_s
-    at_once = {QUEUE: 1, PARTS: len(own_cores()), WATCHING: WATCHED_AT_ONCE}
+    at_once = {
+        QUEUE: 1,
+        PARTS: len(own_cores()),
+        WATCHING: WATCHED_AT_ONCE,
+        WEBHOOKS: DELIVERED_AT_ONCE,
+    }
     for queue, concurrency in at_once.items():
         DBOS.register_queue(
             queue,

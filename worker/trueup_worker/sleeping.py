@@ -33,7 +33,8 @@ RETRY_S = 1.0  # until a lost database is tried again
 def sleep_until_work(
     database: Database, stop: threading.Event, look: Callable[[], None] = lambda: None
 ) -> None:
-    """Returns once a job has not ended, or `stop` is set. Calls `look` every LOOK_S."""
+    """Returns once a job or a delivery of events has not ended, or `stop` is set. Calls `look`
+    every LOOK_S."""
     while not stop.is_set():
         try:
             if database.is_sqlite:
@@ -47,9 +48,9 @@ def sleep_until_work(
 
 
 def has_work(database: Database) -> bool:
-    """Whether a job of any plant has not ended."""
+    """Whether a job of any plant, or a delivery of events, has not ended."""
     with reading(database) as tx:
-        return tx.jobs.has_unfinished()
+        return tx.jobs.has_unfinished() or bool(tx.webhook_cursors.under_way())
 
 
 def _until_sqlite_has_work(database: Database, stop: threading.Event) -> None:

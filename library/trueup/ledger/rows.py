@@ -36,12 +36,13 @@ KEYS: Mapping[str, tuple[str, ...]] = {
     "evidence": ("plant", "digest"),
     "channels": ("plant", "name"),
     "channel_moves": ("plant", "channel", "generation"),
+    "webhooks": ("name",),
 }
 FINAL = ("succeeded", "failed", "cancelled")
 # tables whose rows are named by the digest of their document
 BY_DOCUMENT = ("plants", "gates", "decisions", "monitors", "policies", "evidence")
 # tables of a registry as a whole, never of one plant
-NOT_OF_A_PLANT = ("projects", "tokens")
+NOT_OF_A_PLANT = ("projects", "tokens", "webhooks")
 # kinds of entries that name rows which were written elsewhere
 WHOLESALE = ("log:migrated", "plant:imported")
 # kinds of entries that may name a row of a table of moves

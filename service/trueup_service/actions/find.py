@@ -22,6 +22,7 @@ from trueup_service.registry.records import (
     PlantRecord,
     ProjectRecord,
     TokenRecord,
+    WebhookRecord,
 )
 from trueup_service.registry.transaction import ReadTransaction
 
@@ -61,6 +62,11 @@ def project(tx: ReadTransaction, name: str) -> ProjectRecord:
 def token(tx: ReadTransaction, prefix: str) -> TokenRecord:
     """A token by its public prefix. Raises NotFound."""
     return _require(tx.tokens.get(prefix), "token", prefix)
+
+
+def webhook(tx: ReadTransaction, name: str) -> WebhookRecord:
+    """A webhook by its name. Raises NotFound."""
+    return _require(tx.webhooks.get(name), "webhook", name)
 
 
 def episode(tx: ReadTransaction, plant: str, digest: str) -> EpisodeRecord:

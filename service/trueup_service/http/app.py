@@ -43,6 +43,7 @@ from trueup_service.http.routers import (
     serving,
     telemetry,
     uploads,
+    webhooks,
 )
 from trueup_service.http.serving_answers import ServingAnswers
 from trueup_service.inspection import Inspector
@@ -63,7 +64,7 @@ Errors are `application/problem+json` with a stable `code` and a `hint`. Every P
 # Routes are tried in order, and fleets ask most what serves.
 ROUTERS = (
     serving, plants, episodes, uploads, telemetry, artifacts, families, gates, jobs, decisions,
-    monitors, policies, channels, audit, access,
+    monitors, policies, channels, audit, access, webhooks,
     operations,
 )  # fmt: skip
 

@@ -13,7 +13,6 @@ Source: RFC 9110, section 7.2 (Host) and 15.5.20 (421).
 
 from __future__ import annotations
 
-import ipaddress
 import re
 import socket
 from urllib.parse import urlsplit
@@ -22,6 +21,7 @@ from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from trueup_service.errors import UnknownHost
+from trueup_service.host_names import is_address, is_listed, listed
 from trueup_service.http import problems
 from trueup_service.settings import Settings
 
@@ -57,12 +57,8 @@ class AllowedHosts:
 def allowed_hosts(settings: Settings) -> frozenset[str]:
     """The allowed names of the settings and of this machine, in lower case."""
     public = urlsplit(settings.public_url).hostname if settings.public_url else None
-    listed = settings.allowed_hosts.split(",") if settings.allowed_hosts else []
-    names = (
-        name.strip().lower()
-        for name in ("localhost", socket.gethostname(), settings.host, public or "", *listed)
-    )
-    return frozenset(name for name in names if name)
+    own = {"localhost", socket.gethostname().lower(), settings.host.lower()}
+    return listed(settings.allowed_hosts) | own | ({public} if public else set())
 
 
 def is_allowed(host: str, allowed: frozenset[str]) -> bool:
@@ -70,12 +66,4 @@ def is_allowed(host: str, allowed: frozenset[str]) -> bool:
     begins with `*.`."""
     match = HOST.fullmatch(host)
     name = (match[1] or match[2]).lower() if match else ""
-    if name in allowed or any(
-        pattern.startswith("*.") and name.endswith(pattern[1:]) for pattern in allowed
-    ):
-        return True
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True
+    return is_listed(name, allowed) or is_address(name)

@@ -87,6 +87,7 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     service.MemoryFull: HTTPStatus.SERVICE_UNAVAILABLE,
     service.UploadsFull: HTTPStatus.TOO_MANY_REQUESTS,
     service.ApprovalMissing: HTTPStatus.CONFLICT,
+    service.WebhookRefused: HTTPStatus.UNPROCESSABLE_ENTITY,
     service.UnknownHost: HTTPStatus.MISDIRECTED_REQUEST,
     service.Unauthenticated: HTTPStatus.UNAUTHORIZED,
     service.Forbidden: HTTPStatus.FORBIDDEN,

@@ -3,7 +3,7 @@ all entries."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
 from sqlalchemy import Select, bindparam, func, select, update
@@ -91,6 +91,10 @@ class AuditLog:
             _MOVE_HEAD, {"new_size": tree.size, "new_frontier": tree.to_bytes()}
         )
 
+    def size(self) -> int:
+        """How many entries the log has."""
+        return int(self._connection.scalar(select(_SIZE)) or 0)
+
     def tree(self) -> Frontier:
         """The tree as it stands. Raises BrokenChain where the log has no head."""
         row = self._connection.execute(_HEAD).first()
@@ -106,6 +110,22 @@ class AuditLog:
         query = select(t.audit).where(t.audit.c.sequence > after, t.audit.c.sequence <= _SIZE)
         query = _of(query, plant, project)
         return self._all(query.order_by(t.audit.c.sequence).limit(limit))
+
+    def entries_of_kinds(
+        self,
+        after: int,
+        limit: int,
+        kinds: Collection[str],
+        *,
+        plant: str | None = None,
+        project: str | None = None,
+    ) -> list[AuditEntry]:
+        """Entries of these kinds in order from behind one: of all plants, of one, or of those of a
+        project. Entries of no plant are left out where a plant or project is named."""
+        query = select(t.audit).where(
+            t.audit.c.sequence > after, t.audit.c.sequence <= _SIZE, t.audit.c.kind.in_(kinds)
+        )
+        return self._all(_of(query, plant, project).order_by(t.audit.c.sequence).limit(limit))
 
     def newest_entries(
         self,

@@ -85,6 +85,46 @@ class Approval:
 
 
 @dataclass(frozen=True, slots=True)
+class WebhookRecord:
+    """A declared webhook: which events go to which host, in which form; of one project or plant, or
+    of all where these are None. `target_digest` is the digest of its URL."""
+
+    name: str
+    host: str
+    target_digest: str
+    form: str
+    events: list[str]
+    project: str | None
+    plant: str | None
+    created_at: str
+    created_by: str
+    removed_at: str | None = None
+    removed_by: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class WebhookCursor:
+    """Where a webhook stands. Everything in the log up to `sent`, and the entries `sent_beyond`,
+    have been sent or are of no interest to it.
+
+    `entry` is the engine's entry of the delivery under way. Of a webhook that fails there are the
+    failed `attempts` in a row, since when, when the next one is due, and the last `problem`.
+    """
+
+    webhook: str
+    url: str
+    secret: str
+    sent: int
+    sent_beyond: list[int]
+    entry: str | None = None
+    attempts: int = 0
+    failing_since: str | None = None
+    due_at: str | None = None
+    problem: str | None = None
+    stopped_at: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class PlantRecord:
     """A registered plant. Where it belongs to no project, only tokens of all projects see it."""
 

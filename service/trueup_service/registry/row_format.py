@@ -10,9 +10,14 @@ from sqlalchemy import BigInteger, Column, LargeBinary, RowMapping, Table
 
 from trueup.canonical import Json, canonical_bytes
 from trueup.errors import BrokenChain
-from trueup_service.registry.tables import DOCUMENT_COLUMNS
+from trueup_service.registry.columns import DOCUMENT
+from trueup_service.registry.tables import metadata
 
 R = TypeVar("R")
+DOCUMENT_COLUMNS: Mapping[str, frozenset[str]] = {
+    table.name: frozenset(c.name for c in table.columns if c.info.get(DOCUMENT))
+    for table in metadata.tables.values()
+}
 
 
 def record_from_row(kind: type[R], table: Table, row: RowMapping) -> R:

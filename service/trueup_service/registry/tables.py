@@ -6,8 +6,6 @@ Documents are text too: canonical JSON.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from sqlalchemy import (
     BigInteger,
     Boolean,
@@ -18,46 +16,26 @@ from sqlalchemy import (
     Index,
     Integer,
     LargeBinary,
-    MetaData,
     String,
     Table,
     Text,
 )
 
-NAME, DIGEST, ID, AT = String(63), String(64), String(32), String(27)
-
-DOCUMENT = "document"  # marks a column of JSON text
-
-metadata = MetaData(
-    naming_convention={
-        "ix": "ix_%(table_name)s_%(column_0_N_name)s",
-        "pk": "pk_%(table_name)s",
-        "fk": "fk_%(table_name)s_%(column_0_N_name)s",
-    }
+from trueup_service.registry.columns import (
+    AT,
+    DIGEST,
+    ID,
+    NAME,
+    acted,
+    created,
+    document,
+    metadata,
+    plant_column,
 )
 
+__all__ = ["metadata"]
 
-def _created() -> tuple[Column[str], Column[str]]:
-    """When and by whom a row was made."""
-    return Column("created_at", AT, nullable=False), Column("created_by", Text, nullable=False)
-
-
-def _acted() -> tuple[Column[str], Column[str]]:
-    """When something was done, and by whom."""
-    return Column("at", AT, nullable=False), Column("actor", Text, nullable=False)
-
-
-def _plant(*, primary_key: bool = False) -> Column[str]:
-    """The plant that a row belongs to."""
-    return Column("plant", NAME, ForeignKey("plants.name"), primary_key=primary_key, nullable=False)
-
-
-def _document(name: str, *, nullable: bool = False) -> Column[str]:
-    """A column that holds a document as canonical JSON."""
-    return Column(name, Text, nullable=nullable, info={DOCUMENT: True})
-
-
-projects = Table("projects", metadata, Column("name", NAME, primary_key=True), *_created())
+projects = Table("projects", metadata, Column("name", NAME, primary_key=True), *created())
 
 tokens = Table(
     "tokens",
@@ -65,10 +43,10 @@ tokens = Table(
     Column("prefix", String(16), primary_key=True),
     Column("digest", DIGEST, nullable=False),
     Column("name", Text, nullable=False),
-    _document("roles"),
+    document("roles"),
     Column("project", NAME, ForeignKey("projects.name")),
     Column("plant", NAME),
-    *_created(),
+    *created(),
     Column("expires_at", AT),
     Column("revoked_at", AT),
     Column("revoked_by", Text),
@@ -88,8 +66,8 @@ plants = Table(
     metadata,
     Column("name", NAME, primary_key=True),
     Column("digest", DIGEST, nullable=False),
-    _document("document"),
-    *_created(),
+    document("document"),
+    *created(),
     Column("project", NAME),
     Index(None, "project", "name"),
 )
@@ -97,14 +75,14 @@ plants = Table(
 episodes = Table(
     "episodes",
     metadata,
-    _plant(primary_key=True),
+    plant_column(primary_key=True),
     Column("digest", DIGEST, primary_key=True),
     Column("size_bytes", BigInteger, nullable=False),
     Column("role", String(16), nullable=False),
     Column("start_ns", BigInteger, nullable=False),
     Column("end_ns", BigInteger, nullable=False),
-    _document("summary"),
-    *_created(),
+    document("summary"),
+    *created(),
     Column("samples_digest", DIGEST),
     Index(None, "plant", "role", "created_at"),
     Index(None, "samples_digest"),
@@ -113,38 +91,38 @@ episodes = Table(
 artifacts = Table(
     "artifacts",
     metadata,
-    _plant(primary_key=True),
+    plant_column(primary_key=True),
     Column("version", Integer, primary_key=True, autoincrement=False),
     Column("digest", DIGEST, nullable=False),
     Column("kind", String(32), nullable=False),
     Column("manifest", Text, nullable=False),
     Column("arrays", DIGEST),
     Column("job", ID),
-    *_created(),
+    *created(),
     Index(None, "plant", "digest", unique=True),
 )
 
 gates = Table(
     "gates",
     metadata,
-    _plant(primary_key=True),
+    plant_column(primary_key=True),
     Column("digest", DIGEST, primary_key=True),
-    _document("document"),
-    *_created(),
+    document("document"),
+    *created(),
 )
 
 jobs = Table(
     "jobs",
     metadata,
     Column("id", ID, primary_key=True),
-    _plant(),
+    plant_column(),
     Column("kind", String(16), nullable=False),
-    _document("request"),
+    document("request"),
     Column("state", String(16), nullable=False),
     Column("progress", Float, nullable=False),
     Column("stage", Text, nullable=False),
-    _document("result", nullable=True),
-    *_created(),
+    document("result", nullable=True),
+    *created(),
     Column("updated_at", AT, nullable=False),
     Index(None, "plant", "created_at"),
     Index(None, "state"),
@@ -173,7 +151,7 @@ job_reads = Table(
 outputs = Table(
     "outputs",
     metadata,
-    _plant(),
+    plant_column(),
     Column("job", ID, ForeignKey("jobs.id"), primary_key=True),
     Column("name", NAME, primary_key=True),
     Column("digest", DIGEST, nullable=False),
@@ -186,89 +164,92 @@ decisions = Table(
     "decisions",
     metadata,
     Column("digest", DIGEST, primary_key=True),
-    _plant(),
+    plant_column(),
     Column("gate", DIGEST, nullable=False),
     Column("candidate", DIGEST, nullable=False),
     Column("incumbent", DIGEST, nullable=False),
     Column("generation", Integer, nullable=False),
     Column("accepted", Boolean, nullable=False),
-    _document("document"),
+    document("document"),
     Column("job", ID),
-    *_created(),
+    *created(),
     ForeignKeyConstraint(["plant", "gate"], ["gates.plant", "gates.digest"]),
     Index(None, "plant", "created_at"),
     Index(None, "plant", "candidate"),
 )
 
 serving = Table(
-    "serving", metadata, _plant(primary_key=True), Column("generation", Integer, nullable=False)
+    "serving",
+    metadata,
+    plant_column(primary_key=True),
+    Column("generation", Integer, nullable=False),
 )
 
 moves = Table(
     "moves",
     metadata,
-    _plant(primary_key=True),
+    plant_column(primary_key=True),
     Column("generation", Integer, primary_key=True, autoincrement=False),
     Column("kind", String(16), nullable=False),
     Column("artifact", DIGEST, nullable=False),
     Column("version", Integer, nullable=False),
     Column("decision", DIGEST, ForeignKey("decisions.digest")),
     Column("back_to", Integer),
-    *_acted(),
+    *acted(),
     Index(None, "plant", "at"),
 )
 
 approvals = Table(
     "approvals",
     metadata,
-    _plant(primary_key=True),
+    plant_column(primary_key=True),
     Column("decision", DIGEST, primary_key=True),
     Column("token", String(16), primary_key=True),
-    *_acted(),
+    *acted(),
     Column("because", Text),
 )
 
 imports = Table(
     "imports",
     metadata,
-    _plant(primary_key=True),
+    plant_column(primary_key=True),
     Column("archive", DIGEST, nullable=False),
     Column("origin", Text, nullable=False),
     Column("checkpoint", Text, nullable=False),
     Column("entries", DIGEST, nullable=False),
-    *_acted(),
+    *acted(),
 )
 
 monitors = Table(
     "monitors",
     metadata,
-    _plant(primary_key=True),
+    plant_column(primary_key=True),
     Column("digest", DIGEST, primary_key=True),
     Column("artifact", DIGEST, nullable=False),
-    _document("document"),
+    document("document"),
     Column("job", ID),
-    *_created(),
+    *created(),
     Index(None, "plant", "created_at"),
 )
 
 watching = Table(
     "watching",
     metadata,
-    _plant(primary_key=True),
+    plant_column(primary_key=True),
     Column("monitor", DIGEST, nullable=False),
     Column("since", AT, nullable=False),
     Column("sequence", Integer, nullable=False),
-    _document("kept"),
+    document("kept"),
 )
 
 watches = Table(
     "watches",
     metadata,
-    _plant(primary_key=True),
+    plant_column(primary_key=True),
     Column("monitor", DIGEST, primary_key=True),
     Column("sequence", Integer, primary_key=True, autoincrement=False),
     Column("episode", DIGEST, nullable=False),
-    _document("seen"),
+    document("seen"),
     Column("at", AT, nullable=False),
     ForeignKeyConstraint(["plant", "monitor"], ["monitors.plant", "monitors.digest"]),
     Index(None, "plant", "monitor", "episode", unique=True),
@@ -278,11 +259,11 @@ alarms = Table(
     "alarms",
     metadata,
     Column("id", ID, primary_key=True),
-    _plant(),
+    plant_column(),
     Column("monitor", DIGEST),
     Column("artifact", DIGEST, nullable=False),
     Column("episode", DIGEST, nullable=False),
-    _document("document"),
+    document("document"),
     Column("job", ID),
     Column("trial", ID),
     Column("raised_at", AT, nullable=False),
@@ -295,34 +276,34 @@ alarms = Table(
 policies = Table(
     "policies",
     metadata,
-    _plant(primary_key=True),
+    plant_column(primary_key=True),
     Column("sequence", Integer, primary_key=True, autoincrement=False),
     Column("digest", DIGEST, nullable=False),
-    _document("document"),
-    *_created(),
+    document("document"),
+    *created(),
 )
 
 evidence = Table(
     "evidence",
     metadata,
-    _plant(primary_key=True),
+    plant_column(primary_key=True),
     Column("digest", DIGEST, primary_key=True),
     Column("artifact", DIGEST, nullable=False),
     Column("stage", String(16), nullable=False),
     Column("passed", Boolean, nullable=False),
-    _document("document"),
+    document("document"),
     Column("job", ID),
-    *_created(),
+    *created(),
     Index(None, "plant", "artifact"),
 )
 
 channels = Table(
     "channels",
     metadata,
-    _plant(primary_key=True),
+    plant_column(primary_key=True),
     Column("name", NAME, primary_key=True),
-    _document("requires"),
-    *_created(),
+    document("requires"),
+    *created(),
 )
 
 channel_moves = Table(
@@ -333,9 +314,40 @@ channel_moves = Table(
     Column("generation", Integer, primary_key=True, autoincrement=False),
     Column("artifact", DIGEST, nullable=False),
     Column("version", Integer, nullable=False),
-    _document("evidence"),
-    *_acted(),
+    document("evidence"),
+    *acted(),
     ForeignKeyConstraint(["plant", "channel"], ["channels.plant", "channels.name"]),
+)
+
+webhooks = Table(
+    "webhooks",
+    metadata,
+    Column("name", NAME, primary_key=True),
+    Column("host", Text, nullable=False),
+    Column("target_digest", DIGEST, nullable=False),
+    Column("form", String(16), nullable=False),
+    document("events"),
+    Column("project", NAME),
+    Column("plant", NAME),
+    *created(),
+    Column("removed_at", AT),
+    Column("removed_by", Text),
+)
+
+webhook_cursors = Table(
+    "webhook_cursors",
+    metadata,
+    Column("webhook", NAME, ForeignKey("webhooks.name"), primary_key=True),
+    Column("url", Text, nullable=False),
+    Column("secret", Text, nullable=False),
+    Column("sent", BigInteger, nullable=False),
+    document("sent_beyond"),
+    Column("entry", String(120)),
+    Column("attempts", Integer, nullable=False),
+    Column("failing_since", AT),
+    Column("due_at", AT),
+    Column("problem", Text),
+    Column("stopped_at", AT),
 )
 
 audit = Table(
@@ -347,8 +359,8 @@ audit = Table(
     Column("actor", Text, nullable=False),
     Column("plant", NAME),
     Column("subject", Text, nullable=False),
-    _document("facts"),
-    _document("rows"),
+    document("facts"),
+    document("rows"),
     Index(None, "plant", "sequence"),
     Index(None, "subject"),
 )
@@ -385,8 +397,3 @@ idempotency = Table(
     Column("response", Text, nullable=False),
     Column("at", AT, nullable=False),
 )
-
-DOCUMENT_COLUMNS: Mapping[str, frozenset[str]] = {
-    table.name: frozenset(c.name for c in table.columns if c.info.get(DOCUMENT))
-    for table in metadata.tables.values()
-}

@@ -2,8 +2,8 @@
 was written.
 
 Nothing here updates or deletes an episode, an artifact, a gate, a decision, a move or an entry of
-the log. Only a job's progress, the generation that serves, where a monitor stands, and whether a
-token is revoked or an alarm is open change.
+the log. Only a job's progress, the generation that serves, where a monitor or a webhook stands, and
+whether a token is revoked, an alarm is open or a webhook is removed change.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from trueup_service.registry.repository import TableGateway
 from trueup_service.registry.serving import Serving
 from trueup_service.registry.stored_rows import Imports, StoredRows
 from trueup_service.registry.tokens import Sessions, Tokens
+from trueup_service.registry.webhooks import WebhookCursors, Webhooks
 
 _LOCK_NAME = text("SELECT pg_advisory_xact_lock(hashtextextended(:name, 0))")
 
@@ -56,6 +57,8 @@ class ReadTransaction:
         self.attempts = Attempts(gateway)
         self.monitors, self.watches = Monitors(gateway), Watches(gateway)
         self.alarms = Alarms(gateway)
+        self.webhooks = Webhooks(gateway)
+        self.webhook_cursors = WebhookCursors(gateway)
         self.idempotency = Idempotency(gateway)
         self.imports, self.rows = Imports(gateway), StoredRows(gateway)
 

@@ -122,4 +122,5 @@ def test_the_rows_that_the_log_names_are_the_tables_of_the_registry_by_their_key
         "attempts",
         "idempotency",
         "sessions",
+        "webhook_cursors",
     }

@@ -1,0 +1,196 @@
+"""Deliveries of events, on both storages: when they are queued, what they note, and when they give
+up."""
+
+import threading
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from tests.support.made import plant_document
+from tests.support.receiver import receiving
+from tests.support.storage import Storage
+from trueup_service.actions.webhooks import (
+    Form,
+    NewWebhook,
+    declare_webhook,
+    resume_webhook,
+    webhook,
+)
+from trueup_service.actor_context import ActorContext
+from trueup_service.registry.records import PlantRecord
+from trueup_service.registry.transaction import reading, writing
+from trueup_worker import deliveries
+from trueup_worker.deliveries import deliver, queue_due, release_lost
+from trueup_worker.sleeping import has_work, sleep_until_work
+
+NOW = "2026-01-01T00:00:00.000000Z"
+CONTEXT = ActorContext("tester", NOW)
+EPISODE = {"role": "adaptation", "size_bytes": 1, "conditions": {}}
+
+
+@pytest.fixture
+def receiver():
+    with receiving() as running:
+        yield running
+
+
+@pytest.fixture
+def parts(storage, receiver):
+    allowed = {"TRUEUP_WEBHOOK_HOSTS": "127.0.0.1", "TRUEUP_WEBHOOK_PRIVATE_RANGES": "127.0.0.1/32"}
+    parts = Storage(storage.name, storage.environment | allowed).build()
+    parts.queue.prepare()
+    with writing(parts.database) as tx:
+        for plant in ("a", "b"):
+            tx.plants.add(PlantRecord(plant, "0" * 64, plant_document(), NOW, "tester", None))
+            tx.log.append(CONTEXT, "plant:registered", plant=plant, subject=plant, facts={})
+        wanted = NewWebhook(
+            "hook", receiver.url, "127.0.0.1", Form.CLOUDEVENTS, ["episode"], None, None
+        )
+        declare_webhook(tx, wanted, CONTEXT)
+    yield parts
+    parts.close()
+
+
+def happen(parts, *plants, kind="episode:ingested"):
+    with writing(parts.database) as tx:
+        for number, plant in enumerate(plants):
+            tx.log.append(CONTEXT, kind, plant=plant, subject=f"{number}", facts=EPISODE)
+
+
+def shown(parts):
+    with reading(parts.database) as tx:
+        return webhook(tx, "hook"), tx.webhook_cursors.get("hook"), tx.log.size()
+
+
+def run_due(parts, now=None):
+    """Queues what is due and delivers it here, as a worker would."""
+    queued = queue_due(parts, now or datetime.now(UTC))
+    for name in queued:
+        with reading(parts.database) as tx:
+            entry = tx.webhook_cursors.get(name).entry
+        deliver(parts, entry, name)
+    return queued
+
+
+def plants(receiver):
+    return [r.body.partition(b'"partitionkey":"')[2][:1].decode() for r in receiver.requests]
+
+
+def test_what_is_of_no_interest_moves_the_cursor_and_wakes_nobody(parts):
+    happen(parts, "a", kind="job:submitted")
+    assert queue_due(parts, datetime.now(UTC)) == []
+    assert not has_work(parts.database)
+    state, _, size = shown(parts)
+    assert state.sent == size
+
+
+def test_a_delivery_is_queued_once_and_wakes_a_sleeping_worker(parts, receiver):
+    happen(parts, "a")
+    woken = threading.Thread(target=sleep_until_work, args=(parts.database, threading.Event()))
+    woken.start()
+    assert queue_due(parts, datetime.now(UTC)) == ["hook"]
+    assert queue_due(parts, datetime.now(UTC)) == []
+    woken.join(timeout=10)
+    assert not woken.is_alive()
+    _, cursor, _ = shown(parts)
+    deliver(parts, "another", "hook")  # which is not the one under way
+    assert receiver.requests == []
+    deliver(parts, cursor.entry, "hook")
+    assert plants(receiver) == ["a"]
+    assert not has_work(parts.database)
+
+
+def test_a_long_log_is_sent_in_rounds(parts, receiver, monkeypatch):
+    monkeypatch.setattr(deliveries, "WINDOW", 3)
+    happen(parts, *"abababab")
+    assert run_due(parts) == ["hook"]
+    assert sorted(plants(receiver)) == sorted("abababab")
+    state, cursor, size = shown(parts)
+    assert (state.sent, cursor.sent_beyond, cursor.entry) == (size, [], None)
+
+
+def test_a_plant_that_is_refused_holds_up_the_others_only_behind_a_window(
+    parts, receiver, monkeypatch
+):
+    monkeypatch.setattr(deliveries, "WINDOW", 4)
+    receiver.answer = lambda r: 500 if b'"partitionkey":"a"' in r.body else 204
+    happen(parts, *"abbabbbb")
+    now = datetime.now(UTC)
+    for minutes in range(4):
+        run_due(parts, now + timedelta(hours=minutes))
+    assert plants(receiver).count("b") == 2  # of the first four events
+    assert shown(parts)[0].attempts == 4
+    receiver.answer = lambda _: 204
+    run_due(parts, now + timedelta(hours=5))
+    assert plants(receiver).count("b") == 6
+    assert shown(parts)[0].sent == shown(parts)[2]
+
+
+def test_pauses_double_up_to_an_hour_and_then_it_is_stopped(parts, receiver):
+    receiver.answer = lambda _: 500
+    happen(parts, "a")
+    now, pauses = datetime.now(UTC), []
+    while shown(parts)[0].state != "stopped":
+        assert run_due(parts, now) == ["hook"]
+        state, _, _ = shown(parts)
+        if state.due_at is None:
+            break
+        due = datetime.fromisoformat(state.due_at)
+        pauses.append((due - datetime.now(UTC)).total_seconds())
+        assert run_due(parts, due - timedelta(seconds=1)) == []
+        now = due
+        if len(pauses) == 13:
+            with parts.database.write() as connection:
+                connection.exec_driver_sql(
+                    "UPDATE webhook_cursors SET failing_since = '2020-01-01T00:00:00.000000Z'"
+                )
+    assert [round(p) for p in pauses] == [5, 10, 20, 40, 80, 160, 320, 640, 1280, 2560, *[3600] * 3]
+    state, _, _ = shown(parts)
+    assert (state.state, state.problem) == ("stopped", "it answered 500")
+    with reading(parts.database) as tx:
+        last = tx.log.newest_entries(10**9, 1)[0]
+    assert (last.kind, last.subject) == ("webhook:stopped", "hook")
+    assert run_due(parts, now + timedelta(days=10)) == []
+    receiver.answer = lambda _: 204
+    with writing(parts.database) as tx:
+        resume_webhook(tx, "hook", None, CONTEXT)
+    assert run_due(parts) == ["hook"]
+    assert shown(parts)[0].state == "sending"
+
+
+def test_an_accepted_event_begins_the_patience_anew(parts, receiver):
+    answers = iter([500, 204, 500, 500])
+    receiver.answer = lambda _: next(answers)
+    happen(parts, "a", "a")
+    now = datetime.now(UTC)
+    run_due(parts, now)
+    run_due(parts, now + timedelta(hours=1))
+    assert shown(parts)[0].attempts == 1
+
+
+def test_a_delivery_that_the_engine_gave_up_is_queued_anew(parts, receiver):
+    happen(parts, "a")
+    queue_due(parts, datetime.now(UTC))
+    _, cursor, _ = shown(parts)
+    release_lost(parts)
+    assert shown(parts)[1].entry == cursor.entry  # which the engine still has to run
+    parts.queue.remove([cursor.entry])
+    release_lost(parts)
+    assert shown(parts)[1].entry is None
+    assert run_due(parts) == ["hook"]
+
+
+def test_a_webhook_that_is_resumed_meanwhile_is_left_to_the_next_delivery(parts, receiver):
+    happen(parts, "a", "a", "a")
+
+    def answer(_):
+        if len(receiver.requests) == 1:
+            with writing(parts.database) as tx:
+                resume_webhook(tx, "hook", None, CONTEXT)
+        return 204
+
+    receiver.answer = answer
+    run_due(parts)
+    assert shown(parts)[0].sent < shown(parts)[2]
+    run_due(parts)
+    assert shown(parts)[0].sent == shown(parts)[2]
