@@ -59,6 +59,12 @@ PACKAGES = (
         "pip install 'trueup[ros]'",
     ),
     ("matplotlib", False, "pictures of a diagnosis in a notebook", "pip install 'trueup[plot]'"),
+    (
+        "opentelemetry.sdk",
+        False,
+        "traces and metrics of the service over OTLP",
+        "pip install 'trueup-service[otlp]'",
+    ),
     ("mlflow", False, "versions to and from an MLflow registry", "pip install 'trueup[mlflow]'"),
     ("oras", False, "models and archives in an OCI registry", "pip install 'trueup[oci]'"),
     ("onnx", False, "models written as ONNX", "pip install 'trueup[onnx]'"),
@@ -87,9 +93,10 @@ def _python() -> Finding:
 
 
 def _package(name: str, needed: bool, used_for: str, do: str) -> Finding:
-    if importlib.util.find_spec(name) is None:
+    top = name.partition(".")[0]
+    if importlib.util.find_spec(top) is None or importlib.util.find_spec(name) is None:
         return Finding(name, "missing", False, needed, used_for, do)
-    distribution = importlib.metadata.packages_distributions()[name][0]
+    distribution = importlib.metadata.packages_distributions()[top][0]
     version = importlib.metadata.version(distribution)
     return Finding(name, version, True, needed, used_for)
 

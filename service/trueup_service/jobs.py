@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy import Connection, Engine, make_url, text
 
 from trueup.canonical import Json
+from trueup_service import open_telemetry
 
 if TYPE_CHECKING:
     from trueup_service.engine import DBOSClient, EnqueueOptions
@@ -93,7 +94,7 @@ class JobQueue:
         }
         if (alone := alone_with(kind, plant)) is not None:
             options["queue_partition_key"] = alone
-        self._client.enqueue_in_transaction(connection, options, job)
+        self._client.enqueue_in_transaction(connection, options, job, *_trace())
         self._notify(connection)
 
     def enqueue_delivery(self, connection: Connection, entry: str, webhook: str) -> None:
@@ -126,7 +127,7 @@ class JobQueue:
                     "workflow_id": name,
                     "app_version": ENGINE_VERSION,
                 }
-                self._client.enqueue_in_transaction(connection, options, job, asked)
+                self._client.enqueue_in_transaction(connection, options, job, asked, *_trace())
             self._notify(connection)
 
     def parts(self, names: Sequence[str]) -> dict[str, Part]:
@@ -210,6 +211,12 @@ class JobQueue:
         return DBOSClient(
             system_database_engine=self._engine, serializer=DBOSPortableJSONSerializer()
         )
+
+
+def _trace() -> tuple[str, ...]:
+    """The present trace as a last argument of what is queued, where there is one."""
+    trace = open_telemetry.traceparent()
+    return () if trace is None else (trace,)
 
 
 def queue_of(kind: str) -> str:

@@ -1,5 +1,5 @@
 """Logs on standard error as JSON in ASCII, one object per line. Text from others cannot end a line,
-and reaches a terminal escaped."""
+and reaches a terminal escaped. Where traces are exported, a line carries the ids of its own."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import json
 import logging
 import sys
 from datetime import UTC, datetime
+
+from trueup_service import open_telemetry
 
 _PLAIN = set(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName", "color_message"}
 
@@ -22,6 +24,7 @@ class JsonLines(logging.Formatter):
             "logger": record.name,
             "message": record.getMessage(),
         }
+        line |= open_telemetry.ids()
         line |= {key: value for key, value in vars(record).items() if key not in _PLAIN}
         if record.exc_info:
             line["traceback"] = self.formatException(record.exc_info)

@@ -18,6 +18,7 @@ from itertools import islice
 
 import numpy as np
 import pytest
+import yaml
 from cloudevents.core.bindings.http import HTTPMessage, from_structured_event
 from cloudevents.core.formats.json import JSONFormat
 
@@ -107,7 +108,8 @@ def test_every_snippet_is_of_a_kind_that_is_tested():
         for kind, _ in FENCE.findall(page.read_text())
         if page.name not in RUN_WHOLE
     }
-    assert {kind for _, kind in kinds} == {"", "python", "json"}
+    assert {kind for _, kind in kinds} == {"", "python", "json", "yaml"}
+    assert {name for name, kind in kinds if kind == "yaml"} == {"operations.md"}
     assert {name for name, kind in kinds if kind == "json"} == {
         "continual.md",
         "gates.md",
@@ -303,6 +305,12 @@ def test_the_simulator_of_a_page_is_one(tmp_path):
     document = json.loads((EXAMPLE / "plant.json").read_text()) | json.loads(f"{{{text}}}")
     plant = Plant.from_document(resolved(document, tmp_path))
     assert plant.dynamics.parameter_names == ("damping", "inertia", "kt", "mgl")
+
+
+def test_what_prometheus_scrapes_is_its_own_form():
+    (text,) = snippets(ROOT / "docs" / "operations.md", "yaml")
+    (job,) = yaml.safe_load(text)["scrape_configs"]
+    assert set(job) == {"job_name", "authorization", "static_configs"}
 
 
 def test_the_event_of_the_page_is_a_cloudevent_that_its_receiver_accepts():

@@ -25,6 +25,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from sqlalchemy.exc import SQLAlchemyError
 
 from trueup.cores import cores, one_arena
+from trueup_service import open_telemetry
 from trueup_service.logs import configure_logs
 from trueup_service.settings import Settings
 from trueup_service.wiring import Parts, build
@@ -34,6 +35,7 @@ log = logging.getLogger("trueup.worker")
 # Processes are forked from one that has loaded what they need and has no other thread.
 CONTEXT = multiprocessing.get_context("forkserver")
 CONTEXT.set_forkserver_preload(["trueup_worker.run_job", "trueup_service.engine"])
+WORKER = "trueup-worker"  # the name of its traces
 FAULT_LINES = 12  # of a crash's traceback
 
 
@@ -71,7 +73,8 @@ class ComputeProcess:
         self.start()
         assert self._connection is not None
         try:
-            self._connection.send_bytes(json.dumps([call, *arguments]).encode())
+            asked = [open_telemetry.traceparent(), call, *arguments]
+            self._connection.send_bytes(json.dumps(asked).encode())
             if not self._connection.poll(self._settings.job_time_limit_s):
                 self.close()
                 raise OutOfTime
@@ -98,7 +101,13 @@ class ComputeProcess:
         ours, theirs = CONTEXT.Pipe()
         self._process = CONTEXT.Process(
             target=_serve,
-            args=(theirs, self._settings, self._core, self._faults),
+            args=(
+                theirs,
+                self._settings,
+                self._core,
+                self._faults,
+                open_telemetry.environment(),
+            ),
         )
         self._process.start()
         theirs.close()
@@ -158,13 +167,21 @@ def _how_it_ended(code: int | None) -> str:
     return f"its process was ended by {name}{killed}"
 
 
-def _serve(connection: Connection, settings: Settings, core: int | None, faults: Path) -> None:
+def _serve(
+    connection: Connection,
+    settings: Settings,
+    core: int | None,
+    faults: Path,
+    telemetry: dict[str, str],
+) -> None:
     """Answers what the worker asks until the worker is gone."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # it ends with its worker, not by itself
     asked: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(connection, asked), daemon=True).start()
     configure_logs(settings.log_level)
+    os.environ.update(telemetry)
+    open_telemetry.start(WORKER)
     one_arena()
     if core is not None and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {core})
@@ -178,6 +195,7 @@ def _serve(connection: Connection, settings: Settings, core: int | None, faults:
         faulthandler.enable(file)
         while True:
             connection.send_bytes(json.dumps(_answer(parts, asked.get())).encode())
+            open_telemetry.flush()  # the process may be ended any time
 
 
 def _listen(connection: Connection, asked: queue.SimpleQueue[bytes]) -> None:
@@ -190,9 +208,10 @@ def _listen(connection: Connection, asked: queue.SimpleQueue[bytes]) -> None:
 def _answer(parts: Parts, message: bytes) -> dict[str, Any]:
     from trueup_worker import run_job  # noqa: PLC0415  (the worker itself need not load it)
 
-    call, *arguments = json.loads(message)
+    trace, call, *arguments = json.loads(message)
     try:
-        return {"returns": getattr(run_job, call)(parts, *arguments)}
+        with open_telemetry.span(call, trace):
+            return {"returns": getattr(run_job, call)(parts, *arguments)}
     except SQLAlchemyError as error:
         return {"storage": f"{type(error).__name__}: {error}"}
     except Exception as error:

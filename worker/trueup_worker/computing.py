@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from typing import Any
 
 from trueup.cores import own_cores
 from trueup_service.actions import find
+from trueup_service.open_telemetry import observe
 from trueup_service.registry.records import JobState
 from trueup_service.registry.transaction import reading, writing
 from trueup_service.wiring import Parts
@@ -78,3 +80,14 @@ class Computing:
     def _kind(self, job_id: str) -> str:
         with reading(self._parts.database) as tx:
             return find.job(tx, job_id).kind
+
+
+def tell_of_job(parts: Parts, span: Any, job_id: str) -> None:
+    """Puts what became of a job, and how long it waited and took, into its span and the metrics."""
+    with reading(parts.database) as tx:
+        job = find.job(tx, job_id)
+    labels = {"trueup.job.kind": job.kind, "trueup.job.state": str(job.state)}
+    span.update_name(f"job {job.kind}")
+    span.set_attributes({**labels, "trueup.plant": job.plant})
+    begin, end = map(datetime.fromisoformat, (job.created_at, job.updated_at))
+    observe("trueup.job.duration", "From submission to end", (end - begin).total_seconds(), labels)

@@ -16,6 +16,7 @@ from typing import Any
 from sqlalchemy.exc import SQLAlchemyError
 
 from trueup.cores import own_cores
+from trueup_service import open_telemetry
 from trueup_service.engine import DBOS, DBOSConfig, DBOSPortableJSONSerializer, StepOptions
 from trueup_service.jobs import (
     DELIVERY,
@@ -28,9 +29,11 @@ from trueup_service.jobs import (
     WORKFLOW,
     plain_url,
 )
+from trueup_service.open_telemetry import span
 from trueup_service.registry.transaction import writing
 from trueup_service.wiring import Parts
-from trueup_worker.computing import Computing
+from trueup_worker.compute_process import WORKER
+from trueup_worker.computing import Computing, tell_of_job
 from trueup_worker.deliveries import deliver, run_deliveries
 from trueup_worker.liveness import Liveness, liveness_of
 from trueup_worker.recovery import recover, require_held
@@ -57,6 +60,7 @@ def work(parts: Parts, *, with_parent: bool = False) -> None:
 
     With `with_parent` it also ends when standard input closes, as it does when the parent dies.
     """
+    open_telemetry.start(WORKER)
     name = f"{socket.gethostname()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
     liveness = liveness_of(parts)
     liveness.acquire(name)
@@ -79,6 +83,7 @@ def work(parts: Parts, *, with_parent: bool = False) -> None:
     log.info("stopping", extra={"worker": name})
     with suppress(SQLAlchemyError), writing(parts.database) as tx:
         tx.attempts.end_all(name)
+    open_telemetry.flush()
     os._exit(0)  # another worker resumes a job under way
 
 
@@ -100,15 +105,22 @@ def _register(parts: Parts, computing: Computing) -> None:
     """Names what the engine runs. Called once, since names stay while the engine is away."""
 
     @DBOS.workflow(name=PART)  # type: ignore[untyped-decorator]
-    def part(job_id: str, asked: Any) -> dict[str, Any]:
+    def part(job_id: str, asked: Any, trace: str | None = None) -> dict[str, Any]:
         entry = DBOS.workflow_id
-        answer = DBOS.run_step({"name": "part", **RETRIED}, computing.part, entry, job_id, asked)
+        with span("part of a job", trace, trueup__job=job_id):
+            answer = DBOS.run_step(
+                {"name": "part", **RETRIED}, computing.part, entry, job_id, asked
+            )
         return dict(answer)
 
     @DBOS.workflow(name=WORKFLOW)  # type: ignore[untyped-decorator]
-    def job(job_id: str) -> str:
-        computed = DBOS.run_step({"name": "compute", **RETRIED}, computing.compute, job_id)
-        return str(DBOS.run_step({"name": "finish", **RETRIED}, computing.finish, job_id, computed))
+    def job(job_id: str, trace: str | None = None) -> str:
+        with span("job", trace, trueup__job=job_id) as of_job:
+            computed = DBOS.run_step({"name": "compute", **RETRIED}, computing.compute, job_id)
+            state = DBOS.run_step({"name": "finish", **RETRIED}, computing.finish, job_id, computed)
+            if of_job is not None:
+                tell_of_job(parts, of_job, job_id)
+        return str(state)
 
     @DBOS.workflow(name=DELIVERY)  # type: ignore[untyped-decorator]
     def delivery(webhook: str) -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import time
 from datetime import UTC, datetime
+from types import TracebackType
 
 from trueup.errors import TrueupError
 from trueup_service.actor_context import time_text
+from trueup_service.open_telemetry import Stages
 from trueup_service.registry.records import JobRecord, JobState
 from trueup_service.registry.transaction import writing
 from trueup_service.wiring import Parts
@@ -22,12 +24,27 @@ class Cancelled(TrueupError):
 
 
 class Progress:
-    """Called with the share of the present stage that is done, 0 to 1. Raises Cancelled."""
+    """Called with the share of the present stage that is done, 0 to 1. Raises Cancelled.
+
+    Use it as a context, which ends the span of the last stage where traces are exported.
+    """
 
     def __init__(self, parts: Parts, job: JobRecord) -> None:
         self._parts, self._job = parts, job
         self._stage, self._begin, self._end = "running", 0.0, 1.0
         self._written = 0.0
+        self._spans = Stages()
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._spans.end()
 
     def stage(self, name: str, begin: float, end: float) -> Progress:
         """Enters a stage that covers the job's progress from `begin` to `end`, each 0 to 1.
@@ -36,6 +53,8 @@ class Progress:
         """
         if (name, begin, end) == (self._stage, self._begin, self._end):
             return self
+        if name != self._stage:
+            self._spans.enter(name)
         self._stage, self._begin, self._end, self._written = name, begin, end, 0.0
         self(0.0)
         return self

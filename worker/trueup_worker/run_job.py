@@ -73,10 +73,9 @@ def compute(parts: Parts, job_id: str, worker: str) -> dict[str, Json]:
         if job.state == JobState.CANCELLING:
             raise Cancelled
         _require_attempts_left(parts, job, deaths)
-        return {
-            "state": JobState.SUCCEEDED.value,
-            "outcome": KINDS[job.kind].compute(parts, job, Progress(parts, job)),
-        }
+        with Progress(parts, job) as progress:
+            outcome = KINDS[job.kind].compute(parts, job, progress)
+        return {"state": JobState.SUCCEEDED.value, "outcome": outcome}
     except SQLAlchemyError:
         raise  # the database, not the job: the engine tries this step again
     except Cancelled as error:

@@ -11,6 +11,7 @@ from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
 
 from trueup import __version__
+from trueup_service import open_telemetry
 from trueup_service.authentication import Authenticator
 from trueup_service.expiry import INTERVAL_S, remove_expired
 from trueup_service.http import openapi, problems
@@ -25,6 +26,7 @@ from trueup_service.http.pages import plant as plant_page
 from trueup_service.http.pages import plants as plants_page
 from trueup_service.http.pages import session as session_page
 from trueup_service.http.pages import study as study_page
+from trueup_service.http.registry_metrics import export_gauges
 from trueup_service.http.request_telemetry import RequestTelemetry
 from trueup_service.http.routers import (
     access,
@@ -108,6 +110,7 @@ def create_app(parts: Parts) -> FastAPI:
 
     @asynccontextmanager
     async def alive(app: FastAPI) -> AsyncIterator[None]:
+        export_gauges(parts)
         app.state.answers = ServingAnswers(parts.database, parts.settings.watch_interval_s)
         limits = parts.settings.inspection_memory_bytes, parts.settings.inspection_timeout_s
         app.state.inspector = Inspector(parts.settings.inspections, *limits)
@@ -118,6 +121,7 @@ def create_app(parts: Parts) -> FastAPI:
         yield
         publishing.cancel()
         tidying.cancel()
+        open_telemetry.flush()
         app.state.inspector.close()
         parts.close()
 

@@ -1,5 +1,9 @@
-"""Telemetry of requests: an id, metrics, and one line of JSON in the log. A read that succeeds is
-logged at DEBUG only, since fleets poll."""
+"""Telemetry of requests: an id, metrics, a span where traces are exported, and one line of JSON in
+the log.
+
+Fleets poll: a read that succeeds is logged at DEBUG only, and a read begins no trace, but stands in
+that of its caller.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +15,8 @@ import time
 
 from prometheus_client import Counter, Histogram
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from trueup_service import open_telemetry
 
 log = logging.getLogger("trueup.access")
 REQUESTS = Counter("trueup_http_requests_total", "Requests answered", ["method", "route", "status"])
@@ -49,9 +55,31 @@ class RequestTelemetry:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        header = next((v for k, v in scope["headers"] if k == b"x-request-id"), b"")
+        header = _header(scope, b"x-request-id")
         name = header.decode() if PLAIN_ID.fullmatch(header) else next(self._ids)
         scope["request_id"] = name
+        if not open_telemetry.is_on():
+            await self._answered(scope, receive, send, name)
+            return
+        trace = _header(scope, b"traceparent").decode("latin-1")
+        if trace or scope["method"] != "GET":
+            await self._traced(scope, receive, send, name, trace)
+        else:
+            await self._answered(scope, receive, send, name)
+
+    async def _traced(
+        self, scope: Scope, receive: Receive, send: Send, name: str, trace: str
+    ) -> None:
+        with open_telemetry.server_span(scope["method"], trace) as span:
+            span.set_attribute("url.path", scope["path"])
+            span.set_attribute("trueup.request.id", name)
+            status = await self._answered(scope, receive, send, name)
+            span.set_attribute("http.response.status_code", status)
+            route = _route(scope)
+            span.set_attribute("http.route", route)
+            span.update_name(f"{scope['method']} {route}")
+
+    async def _answered(self, scope: Scope, receive: Receive, send: Send, name: str) -> int:
         began, status = time.perf_counter(), 500
 
         async def answer(message: Message) -> None:
@@ -67,9 +95,10 @@ class RequestTelemetry:
             await self._app(scope, receive, answer)
         finally:
             self._note(scope, name, status, time.perf_counter() - began)
+        return status
 
     def _note(self, scope: Scope, name: str, status: int, seconds: float) -> None:
-        method, route = scope["method"], getattr(scope.get("route"), "path", "none")
+        method, route = scope["method"], _route(scope)
         measures = self._measures.get((method, route, status))
         if measures is None:
             measures = self._measures[method, route, status] = (
@@ -78,6 +107,16 @@ class RequestTelemetry:
             )
         measures[0].inc()
         measures[1].observe(seconds)
+        open_telemetry.observe(
+            "http.server.request.duration",
+            "Time to answer",
+            seconds,
+            {
+                "http.request.method": method,
+                "http.route": route,
+                "http.response.status_code": status,
+            },
+        )
         level = logging.DEBUG if method == "GET" and status < FIRST_ERROR_STATUS else logging.INFO
         if log.isEnabledFor(level):
             fields = {
@@ -88,3 +127,11 @@ class RequestTelemetry:
                 "seconds": round(seconds, 6),
             }
             log.log(level, "request", extra=fields)
+
+
+def _header(scope: Scope, name: bytes) -> bytes:
+    return next((value for key, value in scope["headers"] if key == name), b"")
+
+
+def _route(scope: Scope) -> str:
+    return str(getattr(scope.get("route"), "path", "none"))

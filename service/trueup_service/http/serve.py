@@ -19,6 +19,7 @@ from typing import cast
 import uvicorn
 from uvicorn.supervisors import multiprocess
 
+from trueup_service import open_telemetry
 from trueup_service.http.app import create_app
 from trueup_service.http.connections import Door, Limits, room_for_connections
 from trueup_service.http.request_telemetry import SHARED_METRICS
@@ -142,6 +143,7 @@ def _end_with_parent() -> None:
 
 def _server(parts: Parts) -> _Server:
     sys.setswitchinterval(SWITCH_INTERVAL_S)
+    open_telemetry.start("trueup-server")
     _quiet_collector()
     door = Door(_limits(parts.settings))
     logging.getLogger("trueup").info("at the door", extra={"connections": door.limits.connections})

@@ -20,6 +20,7 @@ from trueup import __version__
 from trueup_service.errors import LogRewound
 from trueup_service.http.dependencies import RequestParts
 from trueup_service.http.guard import guarded
+from trueup_service.http.registry_metrics import RegistryMetrics
 from trueup_service.http.request_telemetry import SHARED_METRICS
 from trueup_service.http.schemas.wire import Health, Readiness
 from trueup_service.registry.transaction import reading
@@ -89,10 +90,13 @@ def _spool(parts: Parts) -> str:
 
 
 @router.get("/metrics", summary="Prometheus metrics", response_class=Response)
-def metrics() -> Response:
-    """Of all server processes that share a socket."""
+def metrics(parts: RequestParts) -> Response:
+    """Of requests: of all server processes that share a socket. Of the registry: as a whole."""
     registry = REGISTRY
     if SHARED_METRICS in os.environ:
         registry = CollectorRegistry()
         MultiProcessCollector(registry)  # type: ignore[no-untyped-call]
-    return Response(generate_latest(registry), media_type=CONTENT_TYPE_LATEST)
+    of_registry = CollectorRegistry()
+    of_registry.register(RegistryMetrics(parts))
+    text = generate_latest(registry) + generate_latest(of_registry)
+    return Response(text, media_type=CONTENT_TYPE_LATEST)
