@@ -106,10 +106,10 @@ gallery: $(DEV) ## run the notebooks of the gallery, and keep what they give
 
 lock: $(BIN)/uv ## pin the dependencies anew
 	@$(COMPILE) --extra mujoco --extra onnx --extra server $(PROJECTS) -o requirements.txt
-	@$(COMPILE) -c requirements.txt --extra server --extra otlp --extra mlflow --extra mujoco --extra onnx \
+	@$(COMPILE) -c requirements.txt --extra server --extra otlp --extra openid --extra mlflow --extra mujoco --extra onnx \
 		--extra tables --extra ros --extra plot --extra usd --extra oci --extra fmu \
 		--group pyproject.toml:dev $(PROJECTS) -o requirements-dev.txt
-	@$(COMPILE) -c requirements-dev.txt --extra tables --extra ros --extra otlp \
+	@$(COMPILE) -c requirements-dev.txt --extra tables --extra ros --extra otlp --extra openid \
 		cli/pyproject.toml service/pyproject.toml library/pyproject.toml -o deploy/server.txt
 	@$(COMPILE) -c requirements-dev.txt --extra mujoco --extra onnx --extra otlp \
 		cli/pyproject.toml service/pyproject.toml worker/pyproject.toml library/pyproject.toml \

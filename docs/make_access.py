@@ -33,6 +33,25 @@ random, kept as hashes, found by their public prefix (the twelve digits), compar
 they expire, by default after a year, and can be revoked. Another server of the same database
 refuses a revoked token within `TRUEUP_TOKEN_MEMORY_S`.
 
+**People may sign in at an OpenID provider** instead of with a token: Keycloak, Entra ID, Okta,
+Google, or what else speaks OpenID Connect (`pip install 'trueup-service[openid]'`; the images have
+it). Register trueup there as a web application with the redirect address
+`https://YOUR-HOST/sign-in/openid/callback`, then say what each group may do:
+
+```
+export TRUEUP_PUBLIC_URL=https://registry.example.com
+export TRUEUP_OPENID_ISSUER=https://accounts.example.com/realms/lab
+export TRUEUP_OPENID_CLIENT_ID=trueup TRUEUP_OPENID_CLIENT_SECRET=…
+export TRUEUP_OPENID_GROUPS='{"lab": {"roles": ["engineer"]}, "ops": {"roles": ["operator"]}}'
+```
+
+A group may be of one project (`"project": "cell-7"`) or of all. Somebody holds the roles of all
+their groups there; whoever's groups are of several projects chooses one. The log names them by the claim `TRUEUP_OPENID_NAME_CLAIM`, and a
+token of the same name counts as the same person. A session lasts `TRUEUP_SESSION_S`, and a group
+that somebody leaves counts until then; `trueup token list` shows the token that stands for the
+session, and revoking it ends the session at once. Without a provider nothing changes, and with one
+tokens go on: robots and pipelines have no browser.
+
 Where a plant's policy says `"approvals": 2`, a promotion takes two people: one approves the
 decision (`trueup approve`), another, with another token, promotes it. Going back takes one person.
 

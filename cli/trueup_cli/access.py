@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from datetime import UTC, datetime
 from typing import Annotated
 
 from cyclopts import App, Parameter
@@ -61,9 +62,16 @@ def issue(
 
 
 @tokens.command(name="list")
-def list_tokens(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+def list_tokens(
+    *,
+    ended: Annotated[
+        bool, Parameter(help="Also those that were revoked or have expired", negative=())
+    ] = False,
+    url: Url = DEFAULT_URL,
+    as_json_: Json = False,
+) -> None:
     """List tokens, without their secrets."""
-    listed = list(connect(url).tokens())
+    listed = [t for t in connect(url).tokens() if ended or not _has_ended(t)]
     if as_json_:
         as_json(listed)
         return
@@ -80,6 +88,12 @@ def list_tokens(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
         for t in listed
     ]
     table("", ["prefix", "name", "roles", "project", "plant", "expires", "state"], rows)
+
+
+def _has_ended(token: Token) -> bool:
+    now, expires = datetime.now(UTC), token["expires_at"]
+    has_expired = expires is not None and datetime.fromisoformat(expires) <= now
+    return has_expired or token["revoked_at"] is not None
 
 
 def _state(token: Token) -> str:

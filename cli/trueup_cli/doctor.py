@@ -65,6 +65,12 @@ PACKAGES = (
         "traces and metrics of the service over OTLP",
         "pip install 'trueup-service[otlp]'",
     ),
+    (
+        "authlib",
+        False,
+        "people who sign in at an OpenID provider",
+        "pip install 'trueup-service[openid]'",
+    ),
     ("mlflow", False, "versions to and from an MLflow registry", "pip install 'trueup[mlflow]'"),
     ("oras", False, "models and archives in an OCI registry", "pip install 'trueup[oci]'"),
     ("onnx", False, "models written as ONNX", "pip install 'trueup[onnx]'"),

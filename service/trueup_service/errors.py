@@ -277,6 +277,20 @@ class Unauthenticated(TrueupError):
     )
 
 
+class SignInRefused(TrueupError):
+    """The provider's answer does not let anybody sign in."""
+
+    code = "sign-in-refused"
+    hint = "Begin again at the sign-in page."
+
+
+class ProviderAway(TrueupError):
+    """The OpenID provider does not answer as one."""
+
+    code = "provider-away"
+    hint = "Try again, or sign in with a token; whoever runs the service compares TRUEUP_OPENID_…."
+
+
 class Forbidden(TrueupError):
     """The token may not do this."""
 

@@ -6,11 +6,28 @@ from __future__ import annotations
 import ipaddress
 from functools import cached_property
 from pathlib import Path
+from typing import Literal, Self
 
-from pydantic import Field, SecretStr, field_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SecretStr,
+    field_validator,
+    model_validator,
+)
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from trueup_service.host_names import listed
+
+
+class GroupGrant(BaseModel):
+    """What the people of a provider's group may do: roles, in one project or in all."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    roles: tuple[Literal["engineer", "operator", "auditor", "admin"], ...] = Field(min_length=1)
+    project: str | None = None
 
 
 class Settings(BaseSettings):
@@ -219,6 +236,35 @@ class Settings(BaseSettings):
             "late it may be to refuse one [s]."
         ),
     )
+    openid_issuer: str | None = Field(
+        None,
+        description="Address of an OpenID provider whose people may sign in, such as "
+        "https://accounts.example.com; unset: people sign in with tokens alone.",
+    )
+    openid_client_id: str | None = Field(None, description="Client id at the OpenID provider.")
+    openid_client_secret: SecretStr | None = Field(
+        None, description="Client secret there; unset: a public client, which PKCE protects."
+    )
+    openid_groups: dict[str, GroupGrant] = Field(
+        {},
+        description="What the people of each group of the provider may do, as JSON: "
+        '`{"robotics": {"roles": ["engineer"]}, "cell-7": {"roles": ["operator"], "project": '
+        '"cell-7"}}`. Who is in none may not sign in.',
+    )
+    openid_groups_claim: str = Field(
+        "groups", description="Claim that lists somebody's groups, in the ID token or userinfo."
+    )
+    openid_name_claim: str = Field(
+        "email",
+        description="Claim by which the log names somebody. It must be of one person alone; an "
+        "email that the provider calls unverified is refused.",
+    )
+    openid_scope: str = Field(
+        "openid profile email", description="Scope that is asked for; some providers add `groups`."
+    )
+    openid_label: str = Field(
+        "Sign in with your organisation", description="Words on the button of the sign-in page."
+    )
     session_s: float = Field(43_200.0, gt=0, description="How long a browser stays signed in [s].")
     checkpoint_interval_s: float = Field(
         10.0,
@@ -240,6 +286,15 @@ class Settings(BaseSettings):
         for text in listed(value):
             ipaddress.ip_network(text)
         return value
+
+    @model_validator(mode="after")
+    def _require_client(self) -> Self:
+        """Raises ValueError for a provider without a client, or whose people may do nothing."""
+        if self.openid_issuer is not None and not (self.openid_client_id and self.openid_groups):
+            raise ValueError(
+                "TRUEUP_OPENID_ISSUER needs TRUEUP_OPENID_CLIENT_ID and TRUEUP_OPENID_GROUPS"
+            )
+        return self
 
     @cached_property
     def sqlalchemy_url(self) -> str:

@@ -126,6 +126,8 @@ ACCESS: Mapping[tuple[str, str], Rule] = {
     ("GET", "/v1/audit/rows/{table}"): WHOLE,
     ("GET", "/sign-in"): PUBLIC,
     ("POST", "/sign-in"): PUBLIC,
+    ("GET", "/sign-in/openid"): PUBLIC,
+    ("GET", "/sign-in/openid/callback"): PUBLIC,
     ("POST", "/sign-out"): ANYBODY,
     ("GET", "/static/{name}"): PUBLIC,
     ("GET", "/"): READERS,

@@ -17,11 +17,13 @@ from trueup_service.expiry import INTERVAL_S, remove_expired
 from trueup_service.http import openapi, problems
 from trueup_service.http.body_limit import BodyLimit
 from trueup_service.http.hosts import AllowedHosts
+from trueup_service.http.openid import OpenIdProvider
 from trueup_service.http.pages import audit as audit_page
 from trueup_service.http.pages import compare as compare_page
 from trueup_service.http.pages import decision as decision_page
 from trueup_service.http.pages import diagnosis as diagnosis_page
 from trueup_service.http.pages import episode as episode_page
+from trueup_service.http.pages import openid as openid_page
 from trueup_service.http.pages import plant as plant_page
 from trueup_service.http.pages import plants as plants_page
 from trueup_service.http.pages import session as session_page
@@ -73,6 +75,7 @@ ROUTERS = (
 
 PAGES = (
     session_page,
+    openid_page,
     plants_page,
     plant_page,
     diagnosis_page,
@@ -136,6 +139,9 @@ def create_app(parts: Parts) -> FastAPI:
     app.state.parts = parts
     app.state.authenticator = Authenticator(parts.settings, parts.database)
     app.state.log = open_log(parts.settings, parts.database)
+    app.state.openid = (
+        OpenIdProvider(parts.settings) if parts.settings.openid_issuer is not None else None
+    )
     problems.install(app)
     openapi.install(app)
     for module in ROUTERS:

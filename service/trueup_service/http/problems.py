@@ -89,6 +89,8 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     service.ApprovalMissing: HTTPStatus.CONFLICT,
     service.WebhookRefused: HTTPStatus.UNPROCESSABLE_ENTITY,
     service.UnknownHost: HTTPStatus.MISDIRECTED_REQUEST,
+    service.SignInRefused: HTTPStatus.FORBIDDEN,
+    service.ProviderAway: HTTPStatus.BAD_GATEWAY,
     service.Unauthenticated: HTTPStatus.UNAUTHORIZED,
     service.Forbidden: HTTPStatus.FORBIDDEN,
     service.LogRewound: HTTPStatus.INTERNAL_SERVER_ERROR,

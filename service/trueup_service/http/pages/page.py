@@ -18,6 +18,7 @@ from trueup_service.actions.submission import Submission
 from trueup_service.actions.submit_job import SUBMIT
 from trueup_service.actor_context import ActorContext
 from trueup_service.authentication import Principal
+from trueup_service.control_characters import control_character
 from trueup_service.errors import TooLargeUpload
 from trueup_service.registry.records import Role
 from trueup_service.registry.transaction import writing
@@ -70,6 +71,12 @@ def go(path: str, **query: str) -> Response:
     return RedirectResponse(
         path + (f"?{urlencode(query)}" if query else ""), SEE_OTHER, headers=HEADERS
     )
+
+
+def own_path(to: str) -> str:
+    """A path that a browser wanted, never one that leads to another site."""
+    is_own = to.startswith("/") and not to.startswith(("//", "/\\"))
+    return to if is_own and control_character(to) is None else "/"
 
 
 def wants_page(request: Request) -> bool:

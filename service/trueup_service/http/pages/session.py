@@ -9,7 +9,7 @@ from trueup_pages.assets import by_url, bytes_of, type_of
 from trueup_service.errors import NotFound, Unauthenticated
 from trueup_service.http.dependencies import RequestParts
 from trueup_service.http.guard import guarded, require_own_page
-from trueup_service.http.pages.page import form, go, show
+from trueup_service.http.pages.page import form, go, own_path, show
 from trueup_service.http.problems import status_of
 from trueup_service.http.sessions import begin_session, end_session, forget_cookie, give_cookie
 
@@ -20,7 +20,7 @@ FOR_EVER = {"Cache-Control": "public, max-age=31536000, immutable"}
 @router.get("/sign-in")
 async def sign_in_page(request: Request) -> Response:
     """The form for a token."""
-    return show(request, "sign_in.html", next=request.query_params.get("next", "/"), problem=None)
+    return _form(request, request.query_params.get("next", "/"))
 
 
 @router.post("/sign-in")
@@ -28,18 +28,23 @@ async def sign_in(request: Request, parts: RequestParts) -> Response:
     """Begin a session with a token, and go on to where the browser wanted to be."""
     require_own_page(request)
     fields = await form(request)
-    to = fields.get("next", "/")
-    # never to another site
-    to = to if to.startswith("/") and not to.startswith(("//", "/\\")) else "/"
+    to = own_path(fields.get("next", "/"))
     try:
         _, secret = await run_in_threadpool(
             begin_session, request.app.state.authenticator, parts, fields.get("token", "").strip()
         )
     except Unauthenticated as error:
-        return show(request, "sign_in.html", status_of(error), next=to, problem=error)
+        return _form(request, to, error)
     answer = go(to)
     give_cookie(request, answer, parts, secret)
     return answer
+
+
+def _form(request: Request, to: str, problem: Unauthenticated | None = None) -> Response:
+    has_provider = request.app.state.openid is not None
+    label = request.app.state.parts.settings.openid_label if has_provider else None
+    status = 200 if problem is None else status_of(problem)
+    return show(request, "sign_in.html", status, next=to, problem=problem, openid=label)
 
 
 @router.post("/sign-out")
