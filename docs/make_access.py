@@ -46,11 +46,11 @@ export TRUEUP_OPENID_GROUPS='{"lab": {"roles": ["engineer"]}, "ops": {"roles": [
 ```
 
 A group may be of one project (`"project": "cell-7"`) or of all. Somebody holds the roles of all
-their groups there; whoever's groups are of several projects chooses one. The log names them by the claim `TRUEUP_OPENID_NAME_CLAIM`, and a
-token of the same name counts as the same person. A session lasts `TRUEUP_SESSION_S`, and a group
-that somebody leaves counts until then; `trueup token list` shows the token that stands for the
-session, and revoking it ends the session at once. Without a provider nothing changes, and with one
-tokens go on: robots and pipelines have no browser.
+their groups there; whoever's groups are of several projects chooses one. The log names them by the
+claim `TRUEUP_OPENID_NAME_CLAIM`, and a token of the same name counts as the same person. A session
+lasts `TRUEUP_SESSION_S`, and a group that somebody leaves counts until then; `trueup token list`
+shows the token that stands for the session, and revoking it ends the session at once. Without a
+provider nothing changes, and with one tokens go on: robots and pipelines have no browser.
 
 Where a plant's policy says `"approvals": 2`, a promotion takes two people: one approves the
 decision (`trueup approve`), another, with another token, promotes it. Going back takes one person.
