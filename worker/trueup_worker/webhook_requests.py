@@ -15,7 +15,7 @@ from email.utils import parsedate_to_datetime
 from types import TracebackType
 from typing import Any
 
-import httpcore
+import httpcore2
 
 from trueup import __version__
 from trueup_service.errors import WebhookRefused
@@ -56,8 +56,8 @@ class WebhookRequests:
         self, targets: WebhookTargets, url: str, secret: str, tls: ssl.SSLContext | None = None
     ) -> None:
         self._url, self._secret = url, secret
-        self._pool = httpcore.ConnectionPool(
-            ssl_context=tls or httpcore.default_ssl_context(),
+        self._pool = httpcore2.ConnectionPool(
+            ssl_context=tls or httpcore2.default_ssl_context(),
             network_backend=_CheckedAddresses(targets, with_tls=url.startswith("https:")),
         )
 
@@ -91,10 +91,10 @@ class WebhookRequests:
                 retry_after_s = _retry_after_s(response.headers)
         except WebhookRefused as error:
             raise NotDelivered(error.message, unreachable=True) from error
-        except (httpcore.NetworkError, httpcore.TimeoutException, OSError) as error:
+        except (httpcore2.NetworkError, httpcore2.TimeoutException, OSError) as error:
             words = str(error) or type(error).__name__
             raise NotDelivered(f"it cannot be reached: {words}", unreachable=True) from error
-        except (httpcore.ProtocolError, httpcore.UnsupportedProtocol) as error:
+        except (httpcore2.ProtocolError, httpcore2.UnsupportedProtocol) as error:
             raise NotDelivered(f"it does not answer in HTTP: {error}", unreachable=True) from error
         if status not in ACCEPTED:
             redirect = "; redirects are not followed" if status in REDIRECTS else ""
@@ -113,7 +113,7 @@ def signature(secret: str, event_id: str, now_s: int, body: bytes) -> str:
     return f"v1,{base64.b64encode(signed).decode()}"
 
 
-class _CheckedAddresses(httpcore.SyncBackend):
+class _CheckedAddresses(httpcore2.SyncBackend):
     """Connects to the addresses of a host that webhooks may reach, and to no other."""
 
     def __init__(self, targets: WebhookTargets, *, with_tls: bool) -> None:
@@ -127,12 +127,12 @@ class _CheckedAddresses(httpcore.SyncBackend):
         timeout: float | None = None,
         local_address: str | None = None,
         socket_options: Iterable[Any] | None = None,
-    ) -> httpcore.NetworkStream:
+    ) -> httpcore2.NetworkStream:
         failed: Exception | None = None
         for address in self._targets.addresses(host, port, with_tls=self._with_tls):
             try:
                 return super().connect_tcp(address, port, timeout, local_address, socket_options)
-            except (httpcore.ConnectError, httpcore.ConnectTimeout) as error:
+            except (httpcore2.ConnectError, httpcore2.ConnectTimeout) as error:
                 failed = error
         assert failed is not None
         raise failed

@@ -60,7 +60,7 @@ class OpenIdProvider:
             from authlib.integrations.starlette_client import OAuth  # noqa: PLC0415
         except ImportError as error:
             raise NotInstalled(
-                "signing in at an OpenID provider needs Authlib and httpx",
+                "signing in at an OpenID provider needs Authlib and httpx2",
                 hint="Install them with `pip install 'trueup-service[openid]'`, or unset "
                 "TRUEUP_OPENID_ISSUER.",
             ) from error
@@ -197,14 +197,14 @@ def _flow(request: Request) -> dict[str, Any]:
 
 @contextmanager
 def _answering() -> Iterator[None]:
-    """Turns what Authlib, joserfc and httpx raise in the block into errors of ours."""
-    import httpx  # noqa: PLC0415
+    """Turns what Authlib, joserfc and httpx2 raise in the block into errors of ours."""
+    import httpx2  # noqa: PLC0415
     from authlib.common.errors import AuthlibBaseError  # noqa: PLC0415
     from joserfc.errors import JoseError  # noqa: PLC0415
 
     try:
         yield
-    except httpx.HTTPError as error:
+    except httpx2.HTTPError as error:
         words = str(error) or type(error).__name__
         raise ProviderAway(f"the OpenID provider does not answer: {words}") from error
     except (AuthlibBaseError, JoseError) as error:
