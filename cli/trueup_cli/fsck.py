@@ -3,17 +3,40 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
 
 from trueup_cli.exits import DISAGREES
 from trueup_cli.options import Json
 from trueup_cli.show import as_json, err, progress, say, table
 
+if TYPE_CHECKING:
+    from trueup_service.drill import Drill
 
-def fsck(*, as_json_: Json = False) -> None:
+
+def fsck(
+    *,
+    drill: Annotated[
+        bool,
+        Parameter(
+            negative=(), help="Then rehearse a backup and its restore, which is checked, too"
+        ),
+    ] = False,
+    drill_in: Annotated[
+        Path | None,
+        Parameter(help="Folder with room for the registry twice; default: for temporary files"),
+    ] = None,
+    as_json_: Json = False,
+) -> None:
     """Check the storage that the settings name, also while a server runs on it.
 
     If anything is wrong it is listed, and the exit code is 4. A data folder that cannot be written,
-    such as a mounted snapshot, is read as it is.
+    such as a mounted snapshot, is read as it is. A drill backs the registry up, verifies the backup
+    against the log, restores it into empty embedded storage, checks that, and removes it again.
     """
     from trueup.ledger.verification import verify
     from trueup_service.installation import (
@@ -39,6 +62,9 @@ def fsck(*, as_json_: Json = False) -> None:
             ]
         ]
         unnamed = unnamed_blobs(parts)
+    rehearsed = _drill(drill_in) if drill and not wrong else None
+    if rehearsed is not None:
+        wrong += [(f"restored copy: {f.where}", f.what) for f in rehearsed.findings]
     if as_json_:
         as_json(
             {
@@ -47,6 +73,7 @@ def fsck(*, as_json_: Json = False) -> None:
                 "bytes": verified.bytes,
                 "findings": wrong,
                 "unnamed_blobs": len(unnamed),
+                "drill": _document(rehearsed),
             }
         )
     elif wrong:
@@ -57,6 +84,19 @@ def fsck(*, as_json_: Json = False) -> None:
             verified.size,
             verified.rows,
             verified.bytes / 1e6,
+        )
+    if rehearsed is not None and not as_json_:
+        say(
+            "the drill backed up in {:.1f} s, verified in {:.1f} s, restored in {:.1f} s and "
+            "checked in {:.1f} s: {} entries, {} rows, {:.1f} MB; {} jobs would go on",
+            rehearsed.backup_s,
+            rehearsed.verify_s,
+            rehearsed.restore_s,
+            rehearsed.check_s,
+            rehearsed.entries,
+            rehearsed.rows,
+            rehearsed.bytes / 1e6,
+            rehearsed.jobs,
         )
     if unnamed and not as_json_:
         say(
@@ -76,3 +116,25 @@ def fsck(*, as_json_: Json = False) -> None:
             to=err,
         )
         sys.exit(DISAGREES)
+
+
+def _drill(within: Path | None) -> Drill:
+    from trueup_service.actor_context import time_text
+    from trueup_service.drill import drill
+    from trueup_service.settings import Settings
+    from trueup_service.signed_log import open_log
+    from trueup_service.wiring import build
+
+    parts = build(Settings())
+    try:
+        with progress("rehearsing backup and restore") as bar:
+            now = time_text(datetime.now(UTC))
+            return drill(parts, open_log(parts.settings, parts.database), within, now, bar)
+    finally:
+        parts.close()
+
+
+def _document(rehearsed: Drill | None) -> dict[str, Any] | None:
+    if rehearsed is None:
+        return None
+    return {**asdict(rehearsed), "findings": [asdict(f) for f in rehearsed.findings]}

@@ -11,6 +11,7 @@ from contextlib import closing
 import pytest
 from sqlalchemy import MetaData, create_engine, text
 
+from tests.support.forks import run
 from tests.support.made import episode_bytes, save
 from tests.support.service import ROOT, Service, command
 from tests.support.storage import embedded, scaled
