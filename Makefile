@@ -89,6 +89,7 @@ docs: $(RUN) ## write the pages that are made from the code
 	@$(BIN)/python docs/make_api.py
 	@$(BIN)/python docs/make_gates.py
 	@$(BIN)/python docs/make_figures.py
+	@$(BIN)/python docs/make_capacity.py
 	@$(BIN)/python docs/make_scoreboard.py
 
 site: $(DEV) ## build the documentation as a site in build/site

@@ -20,6 +20,7 @@ ALL = (
     "pages",
     "load",
     "scaled",
+    "capacity",
     "idle",
     "spreading",
     "diagnosis",

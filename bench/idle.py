@@ -4,19 +4,17 @@ worker needs to begin a job."""
 from __future__ import annotations
 
 import json
-import os
 import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 from bench.report import Figure, show
-from bench.servers import ROOT, TOKEN, ours
+from bench.servers import ROOT, TOKEN, cpu_s, descendants, ours
 from tests.support.postgres import start_postgres
 from trueup_client import Client
 
 ASLEEP_S, MEASURED_S = 25.0, 40.0  # after the last job; over which the share is taken
-TICKS = os.sysconf("SC_CLK_TCK")
 
 
 def main() -> None:
@@ -48,11 +46,11 @@ def _of(name: str, data: Path, environment: dict[str, str]) -> Iterator[Figure]:
                 waits.append(time.monotonic() - began)
                 client.wait(job)
         time.sleep(ASLEEP_S)
-        worker = _children(child.pid)
-        before = [_cpu_s(pids) for pids in ([child.pid], worker)]
+        worker = descendants(child.pid)
+        before = [cpu_s(pids) for pids in ([child.pid], worker)]
         time.sleep(MEASURED_S)
         server, its_worker = (
-            (_cpu_s(pids) - was) / MEASURED_S
+            (cpu_s(pids) - was) / MEASURED_S
             for pids, was in zip(([child.pid], worker), before, strict=True)
         )
     yield Figure(f"{name}: the server", f"{server:.2%}", "<= 0.2 %", server <= 0.002)
@@ -63,31 +61,3 @@ def _of(name: str, data: Path, environment: dict[str, str]) -> Iterator[Figure]:
         f"{name}: until a job is begun: the first, and two of a sleeping worker",
         ", ".join(f"{wait:.2f} s" for wait in waits),
     )
-
-
-def _children(pid: int) -> list[int]:
-    """A process's descendants."""
-    parents = {}
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = stat.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        parents[int(stat.parent.name)] = int(fields[1])
-    found, layer = [], [pid]
-    while layer:
-        layer = [child for child, parent in parents.items() if parent in layer]
-        found += layer
-    return found
-
-
-def _cpu_s(pids: list[int]) -> float:
-    total = 0
-    for pid in pids:
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-        total += int(fields[11]) + int(fields[12])
-    return total / TICKS
-
-
-if __name__ == "__main__":
-    main()

@@ -16,6 +16,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 PEER = ROOT / "build" / "peer"
+TICKS = os.sysconf("SC_CLK_TCK")
 PEER_PACKAGE = "mlflow>=3.17,<4"
 
 
@@ -165,3 +166,31 @@ def resident_mib(pid: int) -> float:
     """Resident memory of a process [MiB]."""
     status = Path(f"/proc/{pid}/status").read_text()
     return int(status.split("VmRSS:")[1].split()[0]) / 1024
+
+
+def descendants(pid: int) -> list[int]:
+    """The processes that a process has started, and those that they have."""
+    parents = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        parents[int(stat.parent.name)] = int(fields[1])
+    found, layer = [], [pid]
+    while layer:
+        layer = [child for child, parent in parents.items() if parent in layer]
+        found += layer
+    return found
+
+
+def cpu_s(pids: list[int]) -> float:
+    """What processes have used of the cores, and those of their children that have ended [s]."""
+    total = 0
+    for pid in pids:
+        try:
+            fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            continue  # it has ended, and its parent counts it
+        total += sum(map(int, fields[11:15]))
+    return total / TICKS

@@ -63,7 +63,7 @@ class PartState(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class JobPart:
     """A part of a job as it stands, with its answer once it is done."""
 
     state: PartState
@@ -130,7 +130,7 @@ class JobQueue:
                 self._client.enqueue_in_transaction(connection, options, job, asked, *_trace())
             self._notify(connection)
 
-    def parts(self, names: Sequence[str]) -> dict[str, Part]:
+    def parts(self, names: Sequence[str]) -> dict[str, JobPart]:
         """The parts of these names as they stand. One that nobody queued, or that was removed, is
         missing."""
         states = {
@@ -146,7 +146,7 @@ class JobQueue:
                 self._client.list_workflows(workflow_ids=done, load_input=False) if done else ()
             )
         }
-        return {name: Part(state, answers.get(name)) for name, state in states.items()}
+        return {name: JobPart(state, answers.get(name)) for name, state in states.items()}
 
     def resume(self, name: str) -> None:
         """Queue a part again that the engine gave up on."""

@@ -3,7 +3,7 @@
 import pytest
 
 import trueup_worker.spread as module
-from trueup_service.jobs import Part, PartState
+from trueup_service.jobs import JobPart, PartState
 from trueup_worker.spread import ATTEMPTS, PartFailed, Spread
 
 ASKED = [{"case": i} for i in range(5)]
@@ -45,7 +45,7 @@ def no_waiting(monkeypatch):
 
 
 def done(asked):
-    return Part(PartState.DONE, {"answer": asked["case"] * 10})
+    return JobPart(PartState.DONE, {"answer": asked["case"] * 10})
 
 
 def answers(engine, progress=lambda _: None):
@@ -57,7 +57,7 @@ def test_answers_come_in_order_whatever_is_done_first():
     engine, shares = (
         Engine(
             lambda asked, looks: (
-                done(asked) if looks > 5 - asked["case"] else Part(PartState.UNDER_WAY, None)
+                done(asked) if looks > 5 - asked["case"] else JobPart(PartState.UNDER_WAY, None)
             )
         ),
         [],
@@ -69,14 +69,14 @@ def test_answers_come_in_order_whatever_is_done_first():
 
 def test_a_part_that_the_engine_gave_up_is_queued_again():
     engine = Engine(
-        lambda asked, looks: done(asked) if looks > ATTEMPTS else Part(PartState.FAILED, None)
+        lambda asked, looks: done(asked) if looks > ATTEMPTS else JobPart(PartState.FAILED, None)
     )
     assert answers(engine) == [0, 10, 20, 30, 40]
     assert len(engine.resumed) == ATTEMPTS * len(ASKED)
 
 
 def test_a_part_that_the_engine_gives_up_each_time_fails_the_job():
-    engine = Engine(lambda *_: Part(PartState.FAILED, None))
+    engine = Engine(lambda *_: JobPart(PartState.FAILED, None))
     with pytest.raises(PartFailed) as raised:
         answers(engine)
     assert raised.value.code == "given-up"
@@ -84,7 +84,7 @@ def test_a_part_that_the_engine_gives_up_each_time_fails_the_job():
 
 
 def test_a_part_with_a_problem_fails_the_job_with_that_problem():
-    engine = Engine(lambda *_: Part(PartState.DONE, {"problem": PROBLEM}))
+    engine = Engine(lambda *_: JobPart(PartState.DONE, {"problem": PROBLEM}))
     with pytest.raises(PartFailed, match="why") as raised:
         answers(engine)
     assert (raised.value.code, raised.value.hint) == ("not-identifiable", "what to do")
@@ -112,7 +112,7 @@ def test_a_part_that_was_removed_under_the_job_is_queued_again():
 
 
 def test_a_cancelled_job_takes_its_parts_back():
-    engine = Engine(lambda *_: Part(PartState.UNDER_WAY, None))
+    engine = Engine(lambda *_: JobPart(PartState.UNDER_WAY, None))
 
     def cancel(_):
         raise InterruptedError
