@@ -45,9 +45,11 @@ export TRUEUP_OPENID_CLIENT_ID=trueup TRUEUP_OPENID_CLIENT_SECRET=…
 export TRUEUP_OPENID_GROUPS='{"lab": {"roles": ["engineer"]}, "ops": {"roles": ["operator"]}}'
 ```
 
-A group may be of one project (`"project": "cell-7"`) or of all. Somebody holds the roles of all
-their groups there; whoever's groups are of several projects chooses one. The log names them by the
-claim `TRUEUP_OPENID_NAME_CLAIM`, and a token of the same name counts as the same person. A session
+A group may be of one project (`"project": "cell-7"`) or of all. A session is of all projects or of
+one, where somebody holds the roles of all projects, too; whoever may do something else in each
+chooses. The log names people by the claim `TRUEUP_OPENID_NAME_CLAIM`, which nobody may be able to
+set for themselves: an email counts if the provider calls it verified. A token of the same name
+counts as the same person, in approvals by two people as well. A session
 lasts `TRUEUP_SESSION_S`, and a group that somebody leaves counts until then; `trueup token list`
 shows the token that stands for the session, and revoking it ends the session at once. Without a
 provider nothing changes, and with one tokens go on: robots and pipelines have no browser.

@@ -62,9 +62,12 @@ def fsck(
             ]
         ]
         unnamed = unnamed_blobs(parts)
-    rehearsed = _drill(drill_in) if drill and not wrong else None
-    if rehearsed is not None:
-        wrong += [(f"restored copy: {f.where}", f.what) for f in rehearsed.findings]
+    rehearsed = None
+    if drill and wrong:
+        say("the drill is left out: first mend what is wrong here", to=err)
+    elif drill:
+        rehearsed, refused = _drill(drill_in)
+        wrong += refused
     if as_json_:
         as_json(
             {
@@ -118,9 +121,12 @@ def fsck(
         sys.exit(DISAGREES)
 
 
-def _drill(within: Path | None) -> Drill:
+def _drill(within: Path | None) -> tuple[Drill | None, list[tuple[str, str]]]:
+    """Returns the drill, None where the backup does not hold, and what is wrong."""
+    from trueup.ledger.archive_layout import BadArchive
     from trueup_service.actor_context import time_text
     from trueup_service.drill import drill
+    from trueup_service.errors import NotWhole
     from trueup_service.settings import Settings
     from trueup_service.signed_log import open_log
     from trueup_service.wiring import build
@@ -129,9 +135,12 @@ def _drill(within: Path | None) -> Drill:
     try:
         with progress("rehearsing backup and restore") as bar:
             now = time_text(datetime.now(UTC))
-            return drill(parts, open_log(parts.settings, parts.database), within, now, bar)
+            done = drill(parts, open_log(parts.settings, parts.database), within, now, bar)
+    except (NotWhole, BadArchive) as error:
+        return None, [("backup", error.message)]
     finally:
         parts.close()
+    return done, [(f"restored copy: {f.where}", f.what) for f in done.findings]
 
 
 def _document(rehearsed: Drill | None) -> dict[str, Any] | None:

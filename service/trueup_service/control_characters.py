@@ -21,3 +21,8 @@ def control_character(text: str, allowed: str = "") -> str | None:
     is none."""
     character = next((c for c in _CONTROL.findall(text) if c not in allowed), None)
     return None if character is None else f"U+{ord(character):04X}"
+
+
+def without_control_characters(text: str) -> str:
+    """A text with each control character replaced."""
+    return _CONTROL.sub("\N{REPLACEMENT CHARACTER}", text)

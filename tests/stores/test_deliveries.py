@@ -2,6 +2,7 @@
 up."""
 
 import threading
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
@@ -13,12 +14,15 @@ from trueup_service.actions.webhooks import (
     Form,
     NewWebhook,
     declare_webhook,
+    remove_webhook,
     resume_webhook,
     webhook,
 )
 from trueup_service.actor_context import ActorContext
+from trueup_service.errors import Conflict
 from trueup_service.registry.records import PlantRecord
 from trueup_service.registry.transaction import reading, writing
+from trueup_service.settings import Settings
 from trueup_worker import deliveries
 from trueup_worker.deliveries import deliver, queue_due, release_lost
 from trueup_worker.sleeping import has_work, sleep_until_work
@@ -109,28 +113,79 @@ def test_a_long_log_is_sent_in_rounds(parts, receiver, monkeypatch):
     assert (state.sent, cursor.sent_beyond, cursor.entry) == (size, [], None)
 
 
-def test_a_plant_that_is_refused_holds_up_the_others_only_behind_a_window(
-    parts, receiver, monkeypatch
-):
+def refuse_a(receiver, status=500):
+    receiver.answer = lambda r: status if b'"partitionkey":"a"' in r.body else 204
+
+
+def test_a_plant_that_is_refused_waits_alone_until_a_window_is_full(parts, receiver, monkeypatch):
     monkeypatch.setattr(deliveries, "WINDOW", 4)
-    receiver.answer = lambda r: 500 if b'"partitionkey":"a"' in r.body else 204
-    happen(parts, *"abbabbbb")
+    refuse_a(receiver)
+    happen(parts, "a", "b")
     now = datetime.now(UTC)
-    for minutes in range(4):
-        run_due(parts, now + timedelta(hours=minutes))
-    assert plants(receiver).count("b") == 2  # of the first four events
-    assert shown(parts)[0].attempts == 4
+    run_due(parts, now)
+    happen(parts, "b", "b")
+    run_due(parts, now)  # at once: it is the other's pause
+    assert sorted(plants(receiver)) == ["a", "b", "b", "b"]
+    assert shown(parts)[0].state == "failing"
+    assert shown(parts)[0].due_at is not None
+    happen(parts, "b", "b")
+    run_due(parts, now)
+    assert plants(receiver).count("b") == 3  # the window is full
     receiver.answer = lambda _: 204
-    run_due(parts, now + timedelta(hours=5))
-    assert plants(receiver).count("b") == 6
-    assert shown(parts)[0].sent == shown(parts)[2]
+    run_due(parts, now + timedelta(hours=1))
+    with parts.database.write() as connection:  # whose pause is by the clock
+        connection.exec_driver_sql("UPDATE webhook_cursors SET held = '{}'")
+    run_due(parts, now + timedelta(hours=1))
+    assert (plants(receiver).count("a"), plants(receiver).count("b")) == (2, 5)
+    state, cursor, size = shown(parts)
+    assert (state.state, state.sent, cursor.sent_beyond, cursor.held) == ("sending", size, [], {})
+
+
+def test_a_plant_that_is_refused_for_ever_does_not_stop_a_webhook_that_accepts_others(
+    parts, receiver
+):
+    refuse_a(receiver)
+    happen(parts, "a", "b")
+    run_due(parts)
+    with parts.database.write() as connection:
+        connection.exec_driver_sql(
+            "UPDATE webhook_cursors SET failing_since = '2020-01-01T00:00:00.000000Z', held = '{}'"
+        )
+    happen(parts, "b")
+    run_due(parts)
+    assert shown(parts)[0].state == "failing"
+    assert shown(parts)[0].failing_since is None
+
+
+@pytest.mark.parametrize("status", [429, 503])
+def test_a_receiver_that_asks_for_patience_is_left_alone_as_a_whole(parts, receiver, status):
+    receiver.answer = lambda _: (status, {"Retry-After": "600"})
+    happen(parts, "a", "a")
+    now = datetime.now(UTC)
+    run_due(parts, now)
+    assert len(receiver.requests) == 1
+    happen(parts, "b")
+    assert run_due(parts, now + timedelta(seconds=590)) == []
+    assert run_due(parts, now + timedelta(seconds=610)) == ["hook"]
+
+
+def test_one_that_is_gone_is_gone_whatever_else_fails(parts, receiver):
+    receiver.answer = lambda r: 410 if b'"partitionkey":"a"' in r.body else 503
+    happen(parts, "a", "b")
+    run_due(parts)
+    assert shown(parts)[0].state == "stopped"
 
 
 def test_pauses_double_up_to_an_hour_and_then_it_is_stopped(parts, receiver):
-    receiver.answer = lambda _: 500
+    receiver.answer = lambda _: 503
     happen(parts, "a")
     now, pauses = datetime.now(UTC), []
-    while shown(parts)[0].state != "stopped":
+    for number in range(14):
+        if number == 13:
+            with parts.database.write() as connection:
+                connection.exec_driver_sql(
+                    "UPDATE webhook_cursors SET failing_since = '2020-01-01T00:00:00.000000Z'"
+                )
         assert run_due(parts, now) == ["hook"]
         state, _, _ = shown(parts)
         if state.due_at is None:
@@ -139,14 +194,9 @@ def test_pauses_double_up_to_an_hour_and_then_it_is_stopped(parts, receiver):
         pauses.append((due - datetime.now(UTC)).total_seconds())
         assert run_due(parts, due - timedelta(seconds=1)) == []
         now = due
-        if len(pauses) == 13:
-            with parts.database.write() as connection:
-                connection.exec_driver_sql(
-                    "UPDATE webhook_cursors SET failing_since = '2020-01-01T00:00:00.000000Z'"
-                )
     assert [round(p) for p in pauses] == [5, 10, 20, 40, 80, 160, 320, 640, 1280, 2560, *[3600] * 3]
     state, _, _ = shown(parts)
-    assert (state.state, state.problem) == ("stopped", "it answered 500")
+    assert (state.state, state.problem) == ("stopped", "it answered 503")
     with reading(parts.database) as tx:
         last = tx.log.newest_entries(10**9, 1)[0]
     assert (last.kind, last.subject) == ("webhook:stopped", "hook")
@@ -158,14 +208,41 @@ def test_pauses_double_up_to_an_hour_and_then_it_is_stopped(parts, receiver):
     assert shown(parts)[0].state == "sending"
 
 
-def test_an_accepted_event_begins_the_patience_anew(parts, receiver):
-    answers = iter([500, 204, 500, 500])
-    receiver.answer = lambda _: next(answers)
-    happen(parts, "a", "a")
-    now = datetime.now(UTC)
-    run_due(parts, now)
-    run_due(parts, now + timedelta(hours=1))
-    assert shown(parts)[0].attempts == 1
+def test_what_a_receiver_says_stands_in_no_log_and_breaks_nothing(parts, receiver, monkeypatch):
+    monkeypatch.setattr(receiver, "body", "\x00\x1b[31mhidden words\n", raising=False)
+    receiver.answer = lambda _: 410
+    happen(parts, "a")
+    run_due(parts)
+    state, _, _ = shown(parts)
+    assert "hidden words" in state.problem
+    assert state.problem.isprintable()
+    with reading(parts.database) as tx:
+        facts = tx.log.newest_entries(10**9, 1)[0].facts
+    assert facts["because"] == "it answered 410"
+
+
+def test_a_host_that_is_not_allowed_any_more_is_not_sent_to(parts, receiver):
+    happen(parts, "a")
+    forbidden = replace(parts, settings=Settings(data_dir=parts.settings.data_dir))
+    queue_due(forbidden, datetime.now(UTC))
+    _, cursor, _ = shown(parts)
+    deliver(forbidden, cursor.entry, "hook")
+    assert receiver.requests == []
+    assert shown(parts)[0].problem == "the service sends no webhooks"
+
+
+def test_a_stale_look_changes_nothing(parts, receiver):
+    happen(parts, "a", kind="job:submitted")
+    _, stale, size = shown(parts)
+    with writing(parts.database) as tx:
+        resume_webhook(tx, "hook", 0, CONTEXT)
+        assert not tx.webhook_cursors.advance(stale, size)
+        assert not tx.webhook_cursors.begin(stale, "entry")
+    assert shown(parts)[0].sent == 0
+    with writing(parts.database) as tx:
+        _, now_, _ = shown(parts)
+        remove_webhook(tx, "hook", CONTEXT)
+        assert not tx.webhook_cursors.begin(now_, "entry")
 
 
 def test_a_delivery_that_the_engine_gave_up_is_queued_anew(parts, receiver):
@@ -180,17 +257,42 @@ def test_a_delivery_that_the_engine_gave_up_is_queued_anew(parts, receiver):
     assert run_due(parts) == ["hook"]
 
 
-def test_a_webhook_that_is_resumed_meanwhile_is_left_to_the_next_delivery(parts, receiver):
+def test_a_webhook_that_is_resumed_meanwhile_goes_on_from_there_in_the_same_delivery(
+    parts, receiver
+):
     happen(parts, "a", "a", "a")
+    begin = shown(parts)[0].sent
 
     def answer(_):
         if len(receiver.requests) == 1:
             with writing(parts.database) as tx:
-                resume_webhook(tx, "hook", None, CONTEXT)
+                resume_webhook(tx, "hook", begin - 1, CONTEXT)
         return 204
 
     receiver.answer = answer
     run_due(parts)
-    assert shown(parts)[0].sent < shown(parts)[2]
-    run_due(parts)
+    told = [r.headers["webhook-id"] for r in receiver.requests]
+    assert told[:3] == told[3:]  # first what was under way, then all again
     assert shown(parts)[0].sent == shown(parts)[2]
+
+
+def test_a_delivery_ends_after_some_rounds_so_that_others_have_their_turn(
+    parts, receiver, monkeypatch
+):
+    monkeypatch.setattr(deliveries, "WINDOW", 1)
+    monkeypatch.setattr(deliveries, "ROUNDS", 3)
+    happen(parts, *"aaaaa")
+    run_due(parts)
+    assert len(receiver.requests) == 3
+    run_due(parts)
+    assert len(receiver.requests) == 5
+
+
+def test_one_that_an_archive_brought_can_be_removed(parts):
+    with parts.database.write() as connection:
+        connection.exec_driver_sql("DELETE FROM webhook_cursors")
+    with writing(parts.database) as tx:
+        assert webhook(tx, "hook").state == "stopped"
+        with pytest.raises(Conflict, match="archive"):
+            resume_webhook(tx, "hook", None, CONTEXT)
+        assert remove_webhook(tx, "hook", CONTEXT).state == "removed"

@@ -145,13 +145,16 @@ def test_workers_scale_by_the_jobs_that_wait():
     scaler = of_kind(ALL, "HorizontalPodAutoscaler", "worker")["spec"]
     metric = scaler["metrics"][0]["external"]
     assert metric["metric"] == {
-        "name": "trueup_jobs",
-        "selector": {"matchLabels": {"state": "queued"}},
+        "name": "trueup_jobs_unfinished",
+        "selector": {"matchLabels": {"namespace": "robots"}},
     }
     assert scaler["behavior"]["scaleDown"]["stabilizationWindowSeconds"] == 1800
     assert "replicas" not in of_kind(ALL, "Deployment")["spec"]
     object_ = of_kind(KEDA, "ScaledObject")["spec"]
-    assert "trueup_jobs" in object_["triggers"][0]["metadata"]["query"]
+    # of one server, for each exports the count of the whole registry
+    query = 'max(sum by (instance) (trueup_jobs{namespace="robots"}))'
+    assert object_["triggers"][0]["metadata"]["query"] == query
+    assert query.replace("robots", "…") in (CHART / "values.yaml").read_text()
     assert object_["scaleTargetRef"]["name"] == of_kind(KEDA, "Deployment")["metadata"]["name"]
 
 
@@ -182,6 +185,15 @@ def test_the_service_knows_the_names_by_which_it_is_asked():
     assert {e["name"]: e["value"] for e in migration["env"]} == settings
 
 
+def test_large_numbers_are_written_as_settings_take_them():
+    documents = rendered(
+        "settings: {TRUEUP_INSPECTION_MEMORY_BYTES: 2147483648, TRUEUP_SESSION_S: 1.5}"
+    )
+    settings = of_kind(documents, "ConfigMap")["data"]
+    assert settings["TRUEUP_INSPECTION_MEMORY_BYTES"] == "2147483648"
+    assert settings["TRUEUP_SESSION_S"] == "1.5"
+
+
 def test_a_changed_setting_starts_pods_anew():
     def stamp(documents):
         pod = of_kind(documents, "Deployment")["spec"]["template"]
@@ -198,6 +210,8 @@ def test_the_chart_holds_the_alerts_and_the_dashboard_that_there_are():
     assert json.loads(board) == json.loads((DEPLOY / "grafana" / "trueup.json").read_text())
     monitor = of_kind(ALL, "ServiceMonitor")["spec"]
     service = of_kind(ALL, "Service")
+    assert monitor["jobLabel"] == "app.kubernetes.io/name"  # by which the alerts find servers
+    assert service["metadata"]["labels"]["app.kubernetes.io/name"] == "trueup"
     assert monitor["endpoints"][0]["port"] == service["spec"]["ports"][0]["name"]
     assert monitor["selector"]["matchLabels"].items() <= service["metadata"]["labels"].items()
 

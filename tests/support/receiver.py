@@ -28,6 +28,7 @@ class Receiver:
     port: int
     requests: list[Received] = field(default_factory=list)
     answer: Callable[[Received], int | tuple[int, dict[str, str]]] = lambda _: 204
+    body: str = ""
 
     def until(self, count: int, timeout_s: float = 30.0) -> list[Received]:
         """Waits until so many requests have arrived, and returns them."""
@@ -56,8 +57,10 @@ def receiving(tls: ssl.SSLContext | None = None) -> Iterator[Receiver]:
             for name, value in headers.items():
                 self.send_header(name, value)
             if status != 204:
-                self.send_header("content-length", "0")
+                self.send_header("content-length", str(len(receiver.body)))
             self.end_headers()
+            if status != 204:
+                self.wfile.write(receiver.body.encode())
 
         def log_message(self, *_: object) -> None:
             pass

@@ -195,7 +195,6 @@ def _serve(
         faulthandler.enable(file)
         while True:
             connection.send_bytes(json.dumps(_answer(parts, asked.get())).encode())
-            open_telemetry.flush()  # the process may be ended any time
 
 
 def _listen(connection: Connection, asked: queue.SimpleQueue[bytes]) -> None:

@@ -32,6 +32,7 @@ def upgrade() -> None:
         sa.Column("secret", sa.Text(), nullable=False),
         sa.Column("sent", sa.BigInteger(), nullable=False),
         sa.Column("sent_beyond", sa.Text(), nullable=False),
+        sa.Column("held", sa.Text(), nullable=False),
         sa.Column("entry", sa.String(120), nullable=True),
         sa.Column("attempts", sa.Integer(), nullable=False),
         sa.Column("failing_since", sa.String(27), nullable=True),

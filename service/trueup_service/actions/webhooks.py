@@ -38,7 +38,8 @@ class WebhookState(StrEnum):
 @dataclass(frozen=True, slots=True)
 class Webhook:
     """A webhook and how it is doing: the entry of the log up to which it was told everything, how
-    many attempts failed since, why, and when the next one is due."""
+    many attempts failed since anything was accepted, the last failure, and when the next attempt is
+    due."""
 
     name: str
     host: str
@@ -135,9 +136,9 @@ def resume_webhook(tx: Transaction, name: str, after: int | None, context: Actor
 
 def remove_webhook(tx: Transaction, name: str, context: ActorContext) -> Webhook:
     """Remove a webhook for good, and forget its URL and secret. Raises NotFound, Conflict."""
-    _require_open(tx, name)
+    _require_not_removed(tx, name)
     tx.webhooks.remove(name, context.now, context.actor)
-    tx.webhook_cursors.forget_target(name)
+    tx.webhook_cursors.forget_target(name, context.now)
     _log(tx, context, "webhook:removed", name, {})
     return webhook(tx, name)
 
@@ -164,7 +165,7 @@ def _joined(record: WebhookRecord, cursor: WebhookCursor | None) -> Webhook:
         else WebhookState.STOPPED
         if at.stopped_at is not None
         else WebhookState.FAILING
-        if at.attempts
+        if at.problem is not None
         else WebhookState.SENDING
     )
     return Webhook(
@@ -183,14 +184,17 @@ def _joined(record: WebhookRecord, cursor: WebhookCursor | None) -> Webhook:
         attempts=at.attempts,
         problem=at.problem,
         failing_since=at.failing_since,
-        due_at=at.due_at,
+        due_at=at.due_at or min((h.due_at for h in at.held_plants().values()), default=None),
     )
 
 
-def _require_open(tx: ReadTransaction, name: str) -> None:
-    record = find.webhook(tx, name)
-    if record.removed_at is not None:
+def _require_not_removed(tx: ReadTransaction, name: str) -> None:
+    if find.webhook(tx, name).removed_at is not None:
         raise Conflict("the webhook was removed", hint="Declare another one.")
+
+
+def _require_open(tx: ReadTransaction, name: str) -> None:
+    _require_not_removed(tx, name)
     if tx.webhook_cursors.get(name) is None:
         raise Conflict(
             "the webhook came with an archive, without its URL", hint="Declare another one here."

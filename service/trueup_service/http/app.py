@@ -124,7 +124,7 @@ def create_app(parts: Parts) -> FastAPI:
         yield
         publishing.cancel()
         tidying.cancel()
-        open_telemetry.flush()
+        await run_in_threadpool(open_telemetry.flush)
         app.state.inspector.close()
         parts.close()
 

@@ -27,6 +27,7 @@ FLOW_COOKIE, FLOW_S = "trueup_openid", 600  # in which somebody signs in at the 
 PATH = "/sign-in/openid"
 DISCOVERY = "/.well-known/openid-configuration"
 TIMEOUT_S = 10.0
+VERIFIED = (True, "true")  # some providers write text
 LONGEST_NAME = 100  # characters, as of a token
 # of algorithms, those by which a key that only the provider has signs
 SIGNED = ("RS", "PS", "ES", "Ed")
@@ -44,8 +45,9 @@ class Person:
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """Who came back from the provider: one person for each project in which their groups allow
-    anything, and where the browser wanted to be."""
+    """Who came back from the provider: a person of all projects, and one for each project in which
+    their groups allow more; the project that was chosen, empty for all, None where none was; and
+    where the browser wanted to be."""
 
     people: tuple[Person, ...]
     to: str
@@ -144,8 +146,8 @@ class OpenIdProvider:
 
 
 def people_of(claims: Mapping[str, Any], settings: Settings) -> tuple[Person, ...]:
-    """What somebody with these claims may be, one for each project, that of all projects first.
-    Raises SignInRefused, Forbidden."""
+    """What somebody with these claims may be: of all projects, then one for each project in which
+    they may do more. Raises SignInRefused, Forbidden."""
     name = claims.get(settings.openid_name_claim)
     if not isinstance(name, str) or not 0 < len(name) <= LONGEST_NAME or control_character(name):
         raise SignInRefused(
@@ -153,10 +155,11 @@ def people_of(claims: Mapping[str, Any], settings: Settings) -> tuple[Person, ..
             hint="Whoever runs the service chooses another claim in TRUEUP_OPENID_NAME_CLAIM, or "
             "asks for more in TRUEUP_OPENID_SCOPE.",
         )
-    if settings.openid_name_claim == "email" and claims.get("email_verified") is False:
+    if settings.openid_name_claim == "email" and claims.get("email_verified") not in VERIFIED:
         raise SignInRefused(
             f"the provider has not verified the address {name}",
-            hint="Verify the address at the provider, then sign in again.",
+            hint="Verify the address at the provider; where the provider verifies none, whoever "
+            "runs the service chooses another claim in TRUEUP_OPENID_NAME_CLAIM.",
         )
     groups = _groups(claims.get(settings.openid_groups_claim))
     grants = [settings.openid_groups[g] for g in groups if g in settings.openid_groups]
@@ -166,20 +169,25 @@ def people_of(claims: Mapping[str, Any], settings: Settings) -> tuple[Person, ..
             hint="Ask whoever runs the service to name one of your groups in TRUEUP_OPENID_GROUPS.",
             groups=groups,
         )
-    projects = sorted({g.project for g in grants}, key=lambda p: (p is not None, p or ""))
-    return tuple(Person(name, _roles(grants, project), project) for project in projects)
+    everywhere = _roles(grants, None)
+    projects = sorted({g.project for g in grants if g.project is not None})
+    within = [Person(name, _roles(grants, project), project) for project in projects]
+    whole = [Person(name, everywhere, None)] if everywhere else []
+    # a project in which somebody may do no more than in all is none to choose
+    return (*whole, *(p for p in within if p.roles != everywhere))
 
 
 def _groups(claim: Any) -> list[str]:
-    """The groups of a claim: a list, or words of a text."""
+    """The groups of a claim: a list, or one group as text."""
     if isinstance(claim, str):
-        return claim.replace(",", " ").split()
+        return [claim]
     return [str(g) for g in claim] if isinstance(claim, list) else []
 
 
 def _roles(grants: Sequence[GroupGrant], project: str | None) -> tuple[str, ...]:
-    """The roles in a project, in the order in which roles are listed."""
-    held = {role for g in grants if g.project == project for role in g.roles}
+    """The roles in a project, those of all projects among them, in the order in which roles are
+    listed."""
+    held = {role for g in grants if g.project in (None, project) for role in g.roles}
     return tuple(r for r in ("engineer", "operator", "auditor", "admin") if r in held)
 
 

@@ -31,7 +31,7 @@ class Database:
         self.engine = (
             _sqlite_engine(url, pool)
             if self.is_sqlite
-            else create_engine(url, pool_size=pool, max_overflow=0)
+            else create_engine(url, pool_size=pool, max_overflow=0, hide_parameters=True)
         )
         self._queue: Any = threading.Lock() if self.is_sqlite else nullcontext()
 
@@ -119,6 +119,7 @@ def _sqlite_engine(url: str, pool: int) -> Engine:
         url,
         pool_size=pool,
         max_overflow=0,
+        hide_parameters=True,  # which may be secrets, and would stand in the log with an error
         connect_args={"timeout": BUSY_TIMEOUT_MS / 1000, "check_same_thread": False},
     )
 

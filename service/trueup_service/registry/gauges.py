@@ -72,7 +72,7 @@ def _alarms(tx: ReadTransaction) -> Gauge:
 def _webhooks(tx: ReadTransaction) -> list[Gauge]:
     of, size = t.webhook_cursors.c, tx.log.size()
     rows = tx.connection.execute(
-        select(of.webhook, of.sent, of.attempts, of.stopped_at)
+        select(of.webhook, of.sent, of.problem, of.stopped_at)
         .join(t.webhooks, t.webhooks.c.name == of.webhook)
         .where(t.webhooks.c.removed_at.is_(None))
     ).all()
@@ -87,12 +87,13 @@ def _webhooks(tx: ReadTransaction) -> list[Gauge]:
             "trueup_webhook_failing",
             "Whether a webhook fails (1), or was stopped (2)",
             "webhook",
-            {
-                str(row.webhook): 2.0 if row.stopped_at is not None else float(row.attempts > 0)
-                for row in rows
-            },
+            {str(row.webhook): _failing(row.stopped_at, row.problem) for row in rows},
         ),
     ]
+
+
+def _failing(stopped_at: str | None, problem: str | None) -> float:
+    return 2.0 if stopped_at is not None else float(problem is not None)
 
 
 def _log(tx: ReadTransaction) -> Gauge:

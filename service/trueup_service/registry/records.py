@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Any
 
 from trueup.canonical import Json
 from trueup.ledger.operation import Operation, of_job
@@ -103,12 +104,21 @@ class WebhookRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class HeldPlant:
+    """A plant whose event a webhook refused: how often in a row, and when it is sent again."""
+
+    attempts: int
+    due_at: str
+
+
+@dataclass(frozen=True, slots=True)
 class WebhookCursor:
     """Where a webhook stands. Everything in the log up to `sent`, and the entries `sent_beyond`,
     have been sent or are of no interest to it.
 
-    `entry` is the engine's entry of the delivery under way. Of a webhook that fails there are the
-    failed `attempts` in a row, since when, when the next one is due, and the last `problem`.
+    `entry` is the engine's entry of the delivery under way, and `held` the plants that wait by
+    themselves. Of a webhook that fails there are the failed `attempts` in a row, since when, when
+    the next one is due, and the last `problem`.
     """
 
     webhook: str
@@ -116,12 +126,18 @@ class WebhookCursor:
     secret: str
     sent: int
     sent_beyond: list[int]
+    held: dict[str, Json] = field(default_factory=dict)
     entry: str | None = None
     attempts: int = 0
     failing_since: str | None = None
     due_at: str | None = None
     problem: str | None = None
     stopped_at: str | None = None
+
+    def held_plants(self) -> dict[str, HeldPlant]:
+        """The plants that wait by themselves, by name; what is of no plant has an empty one."""
+        held: Any = self.held
+        return {plant: HeldPlant(of["attempts"], of["due_at"]) for plant, of in held.items()}
 
 
 @dataclass(frozen=True, slots=True)

@@ -342,6 +342,7 @@ webhook_cursors = Table(
     Column("secret", Text, nullable=False),
     Column("sent", BigInteger, nullable=False),
     document("sent_beyond"),
+    document("held"),
     Column("entry", String(120)),
     Column("attempts", Integer, nullable=False),
     Column("failing_since", AT),

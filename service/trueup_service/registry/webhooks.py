@@ -77,19 +77,36 @@ class WebhookCursors(Repository[WebhookCursor]):
             select(t.webhook_cursors).where(*_OPEN, t.webhook_cursors.c.entry.is_not(None))
         )
 
-    def update(self, webhook: str, under_way: str | None, **values: Any) -> bool:
-        """Change a cursor if this delivery is under way of it, None for none. Returns whether it
-        was changed."""
-        entry = t.webhook_cursors.c.entry
+    def advance(self, cursor: WebhookCursor, end: int) -> bool:
+        """Move a cursor over entries that are of no interest, if it still stands where it was
+        read. Returns whether it was moved."""
+        return self._update(cursor.webhook, *_as_read(cursor), sent=end, sent_beyond=[])
+
+    def begin(self, cursor: WebhookCursor, entry: str) -> bool:
+        """Mark a delivery as under way, if the cursor still stands where it was read and neither
+        stopped nor paused. Returns whether it was."""
+        of = t.webhook_cursors.c
         return self._update(
-            webhook, entry.is_(None) if under_way is None else entry == under_way, **values
+            cursor.webhook,
+            *_as_read(cursor),
+            of.stopped_at.is_(None),
+            of.due_at.is_(None) if cursor.due_at is None else of.due_at == cursor.due_at,
+            entry=entry,
         )
 
+    def note(self, webhook: str, under_way: str, read_at: int | None, **values: Any) -> bool:
+        """Note what a delivery under way has done, if it still is and the cursor stands where the
+        delivery read it (`read_at`, None for anywhere). Returns whether it was noted."""
+        of = t.webhook_cursors.c
+        where = () if read_at is None else (of.sent == read_at,)
+        return self._update(webhook, of.entry == under_way, *where, **values)
+
     def resume(self, webhook: str, **values: Any) -> None:
-        """Let a webhook be tried again at once, whether a delivery is under way or not."""
+        """Let a webhook be tried again at once. A delivery under way goes on from where the cursor
+        stands then."""
         self._update(
             webhook,
-            entry=None,
+            held={},
             attempts=0,
             failing_since=None,
             due_at=None,
@@ -98,12 +115,18 @@ class WebhookCursors(Repository[WebhookCursor]):
             **values,
         )
 
-    def forget_target(self, webhook: str) -> None:
+    def forget_target(self, webhook: str, now: str) -> None:
         """Forget the URL and the secret of a webhook, and its delivery under way."""
-        self._update(webhook, url="", secret="", entry=None)
+        self._update(webhook, url="", secret="", entry=None, stopped_at=now)
 
     def _update(self, webhook: str, *where: ColumnElement[bool], **values: Any) -> bool:
-        if "sent_beyond" in values:
-            values["sent_beyond"] = document_text(values["sent_beyond"])
+        for name in ("sent_beyond", "held"):
+            if name in values:
+                values[name] = document_text(values[name])
         of_webhook = t.webhook_cursors.c.webhook == webhook
         return self._gateway.update(update(t.webhook_cursors), of_webhook, *where, **values)
+
+
+def _as_read(cursor: WebhookCursor) -> tuple[ColumnElement[bool], ...]:
+    of = t.webhook_cursors.c
+    return of.entry.is_(None), of.sent == cursor.sent

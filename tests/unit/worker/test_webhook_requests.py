@@ -1,7 +1,10 @@
 """Requests to webhooks go to addresses that are allowed, and nowhere else."""
 
+import contextlib
 import socket
 import ssl
+import threading
+import time
 from dataclasses import replace
 from ipaddress import ip_network
 
@@ -62,7 +65,7 @@ def test_a_name_is_resolved_when_a_request_is_sent(monkeypatch):
         pytest.raises(NotDelivered, match="no address of 'hooks") as error,
     ):
         requests.post("id", "application/json", b"{}")
-    assert error.value.unreachable
+    assert error.value.is_of_receiver
 
 
 def test_a_certificate_must_be_of_the_host(tmp_path):
@@ -90,18 +93,18 @@ def test_nobody_listens(monkeypatch):
         url = receiver.url
     with WebhookRequests(LOCAL, url, SECRET) as requests, pytest.raises(NotDelivered) as error:
         requests.post("id", "application/json", b"{}")
-    assert error.value.unreachable
+    assert error.value.is_of_receiver
 
 
 def test_a_receiver_that_does_not_answer_is_given_up(monkeypatch):
-    monkeypatch.setattr(module, "TIMEOUT_S", 0.2)
+    monkeypatch.setattr(module, "DEADLINE_S", 0.3)
     with (
         socket.create_server(("127.0.0.1", 0)) as silent,
         WebhookRequests(LOCAL, f"http://127.0.0.1:{silent.getsockname()[1]}/", SECRET) as requests,
         pytest.raises(NotDelivered, match="cannot be reached") as error,
     ):
         requests.post("id", "application/json", b"{}")
-    assert error.value.unreachable
+    assert error.value.is_of_receiver
 
 
 @pytest.mark.parametrize(
@@ -117,3 +120,36 @@ def test_when_to_come_again_is_read(header, low, high):
         ):
             requests.post("id", "application/json", b"{}")
     assert low <= error.value.retry_after_s <= high
+
+
+@pytest.mark.parametrize("drips", [b"HTTP/1.1 200 OK\r\nx-slow: ", b"HTTP/1.1 200 OK\r\n\r\n"])
+def test_a_receiver_that_drips_is_given_up_in_time(monkeypatch, drips):
+    monkeypatch.setattr(module, "DEADLINE_S", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def drip():
+            with contextlib.suppress(OSError), server.accept()[0] as connection:
+                connection.recv(65536)
+                connection.sendall(drips)
+                while True:
+                    connection.sendall(b"x")
+                    time.sleep(0.05)
+
+        threading.Thread(target=drip, daemon=True).start()
+        url, began = f"http://127.0.0.1:{server.getsockname()[1]}/", time.monotonic()
+        with (
+            WebhookRequests(LOCAL, url, SECRET) as requests,
+            pytest.raises(NotDelivered, match=r"longer than|timed out"),
+        ):
+            requests.post("id", "application/json", b"{}")
+        assert time.monotonic() - began < 5
+
+
+@pytest.mark.parametrize(
+    "url",
+    ["https://hooks.example.com/\u00fc", "https://a..example.com/", "https://hooks.example.com/\n"],
+)
+def test_a_url_that_no_request_can_have_is_refused_at_once(url):
+    targets = WebhookTargets(frozenset({"*.example.com"}), ())
+    with pytest.raises(WebhookRefused):
+        targets.require_url(url)

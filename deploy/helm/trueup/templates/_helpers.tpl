@@ -34,6 +34,8 @@ app.kubernetes.io/component: {{ index . 1 }}
 {{- $settings = set $settings "TRUEUP_PUBLIC_URL" (printf "%s://%s" $scheme .Values.ingress.host) -}}
 {{- end -}}
 {{- range $key, $value := $settings }}
+{{- /* a values file's whole numbers are floats here, and would be written as 2e+09 */ -}}
+{{- if and (kindIs "float64" $value) (eq (floor $value) $value) }}{{ $value = printf "%.0f" $value }}{{ end }}
 {{ $key }}: {{ $value | toString | quote }}
 {{- end }}
 {{- end -}}

@@ -32,19 +32,15 @@ async def leave(request: Request) -> Response:
 
 @router.get(f"{PATH}/callback")
 async def arrive(request: Request, parts: RequestParts) -> Response:
-    """Begin a session of whoever comes back from the provider. Somebody whose groups are of several
-    projects, none of them of all, chooses one."""
+    """Begin a session of whoever comes back from the provider. Somebody whose groups allow
+    something else in each of several projects chooses one."""
     try:
         arrival = await _provider(request).arrive(request)
         to = own_path(arrival.to)
-        person = next((p for p in arrival.people if p.project == arrival.project), None)
-        if person is None and (arrival.people[0].project is None or len(arrival.people) == 1):
-            person = arrival.people[0]
-        if person is None:
-            choices = [
-                (p.project, f"{PATH}?{urlencode({'next': to, 'project': p.project})}")
-                for p in arrival.people
-            ]
+        chosen = [p for p in arrival.people if (p.project or "") == arrival.project]
+        person = (chosen or arrival.people)[0]
+        if not chosen and len(arrival.people) > 1:
+            choices = [(p.project, p.roles, _path(to, p.project)) for p in arrival.people]
             return _without_flow(show(request, "choose_project.html", choices=choices))
         secret = await run_in_threadpool(begin_session_of_person, parts, person)
     except (SignInRefused, ProviderAway, Forbidden, NotFound) as error:
@@ -53,6 +49,11 @@ async def arrive(request: Request, parts: RequestParts) -> Response:
     page = show(request, "signed_in.html", next=to, name=person.name)
     give_cookie(request, page, parts, secret)
     return _without_flow(page)
+
+
+def _path(to: str, project: str | None) -> str:
+    """The way to the provider that chooses a project, or all."""
+    return f"{PATH}?{urlencode({'next': to, 'project': project or ''})}"
 
 
 def _provider(request: Request) -> OpenIdProvider:
