@@ -11,6 +11,7 @@ import itertools
 import json
 import os
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -31,6 +32,7 @@ from trueup.episode.writer import write_episode
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified
 from trueup_client import Client
+from trueup_service.registry.transaction import writing
 from trueup_service.settings import Settings
 from trueup_service.wiring import Parts, build
 
@@ -63,8 +65,7 @@ def main() -> None:
             with worker(folder, environment) as pid:
                 costs |= _watches(meter, pid, parts)
                 costs |= _diagnosis(pid, port)
-            with ours(folder, **environment) as (second, _, _):
-                costs["two_servers_uploads_per_s"] = _closed_uploads([port, second], fleet).rate
+        costs["entries_per_s"] = _entries_per_s(parts)
         parts.close()
     if os.environ.get("PUBLISH"):
         (MEASURED / "capacity.json").write_text(json.dumps(costs, indent=1) + "\n")
@@ -163,7 +164,7 @@ def _long(fleet: Fleet, number: int) -> bytes:
     observed = np.concatenate([r.observed for r in runs])
     stamps = (
         T0_NS
-        + (10**6 + number) * 10**13
+        + (10**4 + number) * 10**13
         + np.rint(np.arange(len(observed)) * step_s * 1e9).astype(np.int64)
     )
     file = io.BytesIO()
@@ -239,6 +240,27 @@ def _watches(meter: Meter, pid: int, parts: Parts) -> dict[str, float]:
         "watch_database_ms": 1e3 * (meter.database() - database) / count,
         "worker_mib": sum(resident_mib(p) for p in [pid, *descendants(pid)]),
     }
+
+
+def _entries_per_s(parts: Parts) -> float:
+    """How many changes one log takes, if they do nothing else: each is a transaction that waits for
+    the head, adds an entry and commits."""
+    until, counts = time.monotonic() + SECONDS, []
+
+    def write() -> None:
+        count = 0
+        while time.monotonic() < until:
+            with writing(parts.database) as tx:
+                tx.log.append(load.CONTEXT, "bench:entry", plant=None, subject="", facts={})
+            count += 1
+        counts.append(count)
+
+    threads = [threading.Thread(target=write) for _ in range(CONNECTIONS)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return sum(counts) / SECONDS
 
 
 def _diagnosis(pid: int, port: int) -> dict[str, float]:

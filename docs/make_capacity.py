@@ -4,6 +4,7 @@ The costs are what `PUBLISH=1 python -m bench capacity` measured last.
 """
 
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,10 +18,9 @@ POLL_S = 30.0
 RECORDING_MIB = 2.0  # about a minute at 200 Hz with seven channels
 UPLOAD_S = 3600.0
 DIAGNOSIS_S = 30 * DAY_S
+ENTRIES = 3  # of the log for each recording: it came, its look was submitted, and has ended
 BUSY = 0.6  # of a core, so that a burst of twice the mean is not felt at once
-# of one disk that syncs in a millisecond, or of a network of 1 Gbit/s, whichever ends first
-NETWORK_MIB_S = 110.0
-HIGHEST_SHARE = 1.0
+NETWORK_MIB_S = 110.0  # of 1 Gbit/s
 
 
 @dataclass(frozen=True)
@@ -77,11 +77,9 @@ def need(robots: int) -> Need:
         (COSTS["server_mib"] * MIB + robots * COSTS["held_kib"] * 1024) / GIB,
         yearly * RECORDING_MIB * MIB / TIB,
         yearly * 2 * COSTS["rows_bytes"] / GIB,  # of the upload, and of the watch that follows
-        yearly * 3,  # the episode, its watch submitted and finished
+        yearly * ENTRIES,
         {
-            "the log's head (one writer at a time)": 3
-            * uploads
-            / max(COSTS["two_servers_uploads_per_s"], COSTS["uploads_per_s"]),
+            "the log's head (one writer at a time)": ENTRIES * uploads / COSTS["entries_per_s"],
             "the network of one server": uploads * RECORDING_MIB / NETWORK_MIB_S,
             "one core of a server": server_ms / 1e3,
             "one core of the database": database_ms / 1e3,
@@ -103,7 +101,7 @@ def page() -> str:
         busy=f"{100 * BUSY:.0f}",
         held=f"{COSTS['held_kib']:.0f}",
         uploads=f"{COSTS['uploads_per_s']:.0f}",
-        two=f"{COSTS['two_servers_uploads_per_s']:.0f}",
+        entries=f"{COSTS['entries_per_s']:.0f}",
     )
 
 
@@ -135,7 +133,10 @@ def _costs() -> str:
 
 def _needs(fleets: list[Need]) -> str:
     rows = [
-        ("polls, uploads", [f"{f.polls_per_s:.3g}/s, {f.uploads_per_s:.2g}/s" for f in fleets]),
+        (
+            "polls, uploads",
+            [f"{_short(f.polls_per_s)}/s, {_short(f.uploads_per_s)}/s" for f in fleets],
+        ),
         ("cores for servers", [_cores(f.server_cores) for f in fleets]),
         ("cores for PostgreSQL", [_cores(f.database_cores) for f in fleets]),
         ("cores for workers", [_cores(f.worker_cores) for f in fleets]),
@@ -143,26 +144,35 @@ def _needs(fleets: list[Need]) -> str:
         ("memory of the servers", [f"{f.server_gib:.2g} GiB" for f in fleets]),
         ("recordings in a year", [_size(f.blobs_tib_a_year * TIB) for f in fleets]),
         ("database, growth in a year", [_size(f.rows_gib_a_year * GIB) for f in fleets]),
-        ("entries of the log in a year", [f"{f.entries_a_year:.2g}" for f in fleets]),
+        ("entries of the log in a year", [_count(f.entries_a_year) for f in fleets]),
     ]
     return "\n".join(f"| {what} | " + " | ".join(values) + " |" for what, values in rows)
 
 
 def _shares(fleets: list[Need]) -> str:
     return "\n".join(
-        f"| {part} | " + " | ".join(f"{100 * f.shares[part]:.2g} %" for f in fleets) + " |"
+        f"| {part} | " + " | ".join(f"{_short(100 * f.shares[part])} %" for f in fleets) + " |"
         for part in fleets[0].shares
     )
 
 
 def _cores(cores: float) -> str:
-    return "a part of one" if cores < 1 else f"{cores:.0f}"
+    return "a part of one" if cores < 1 else str(math.ceil(cores))
+
+
+def _short(value: float) -> str:
+    """A number with two digits, or whole."""
+    return f"{value:,.0f}" if value >= 10 else f"{value:.2g}"
+
+
+def _count(value: float) -> str:
+    return f"{_short(value / 1e6)} million"
 
 
 def _size(size: float) -> str:
     return next(
-        f"{size / unit:.3g} {name}"
-        for name, unit in (("TiB", TIB), ("GiB", GIB), ("MiB", MIB))
+        f"{_short(size / unit)} {name}"
+        for name, unit in (("PiB", 1024 * TIB), ("TiB", TIB), ("GiB", GIB), ("MiB", MIB))
         if size >= unit or name == "MiB"
     )
 
@@ -184,7 +194,8 @@ takes {loop} s (two shared cores, the load generator among them):
 {costs}
 
 A connection that waits for a change takes {held} KiB of its server. One server took {uploads}
-short uploads a second beside everything else on this machine, two servers {two}.
+short uploads a second beside the generator and the database, and one log {entries} changes a
+second that do nothing else.
 
 ## What a fleet does
 
@@ -208,15 +219,15 @@ one log takes:
 
 - **Servers** are added freely: they share nothing but the database and the store. Above 100 %, add
   servers (or `--processes`), each with a network of its own.
-- **Workers** are added freely, too; scale them by `trueup_jobs{{state="queued"}}`.
+- **Workers** are added freely, too; scale them by `trueup_jobs`.
 - **PostgreSQL** is one machine. Polls ask it whether the answer is old, a read of one row by its
   key; most of its work are uploads and their looks. It has as many cores as the table says, and a
   disk whose sync takes a millisecond or less.
 - **The log's head is one row**, which every change waits for until the change before it has
-  committed: this does not grow with cores. Its share is counted against the uploads that two
-  servers reached here together, three entries for each. When it nears 100 %, split the fleet by
-  site into several installations, each with a log of its own; `trueup export` and `import` move
-  plants between them.
+  committed: this does not grow with cores, only with a faster disk. Its share is counted against
+  the changes that one log took here, three for each recording. When it nears 100 %, split the
+  fleet by site into several installations, each with a log of its own; `trueup export` and
+  `import` move plants between them.
 - **Recordings** are most of what is stored. Lifecycle rules of the store may move old ones to
   colder storage as long as they stay readable; nothing else refers to them than their digest.
 

@@ -4,6 +4,7 @@ import json
 import os
 import threading
 import time
+from contextlib import closing
 
 import pytest
 from cloudevents.core.bindings.http import HTTPMessage, from_structured_event
@@ -293,7 +294,7 @@ def test_url_and_secret_stand_nowhere_else(client, service, receiver, declared, 
         assert text not in shown
         assert text.encode() not in files
     client.remove_webhook("hidden")
-    with service.storage.build().database.read() as connection:
+    with closing(service.storage.build()) as parts, parts.database.read() as connection:
         (row,) = connection.execute(
             select(webhook_cursors).where(webhook_cursors.c.webhook == "hidden")
         )
@@ -303,7 +304,7 @@ def test_url_and_secret_stand_nowhere_else(client, service, receiver, declared, 
 def test_a_changed_url_is_not_sent_to(client, service, receiver, declared, tmp_path):
     client.register_plant(plant_document("altered"))
     declared("altered", events=["episode"])
-    with service.storage.build().database.write() as connection:
+    with closing(service.storage.build()) as parts, parts.database.write() as connection:
         connection.execute(
             update(webhook_cursors)
             .where(webhook_cursors.c.webhook == "altered")
