@@ -12,6 +12,7 @@ HERE = Path(__file__).parent
 COSTS = json.loads((HERE / "measured" / "capacity.json").read_text())
 DAY_S, YEAR_DAYS = 86_400.0, 365
 MIB, GIB, TIB = 1 << 20, 1 << 30, 1 << 40
+SHORT_FROM = 10  # numbers from here on are written whole
 SIZES = (10, 1_000, 100_000)
 # what a robot does
 POLL_S = 30.0
@@ -65,6 +66,7 @@ def need(robots: int) -> Need:
         + uploads * COSTS["watch_database_ms"]
     )
     worker_ms = uploads * COSTS["watch_worker_ms"] + 1e3 * diagnoses * COSTS["diagnosis_worker_s"]
+    servers = max(1, math.ceil(server_ms / 1e3 / BUSY))
     yearly = uploads * DAY_S * YEAR_DAYS
     return Need(
         robots,
@@ -74,7 +76,7 @@ def need(robots: int) -> Need:
         database_ms / 1e3 / BUSY,
         worker_ms / 1e3 / BUSY,
         robots,
-        (COSTS["server_mib"] * MIB + robots * COSTS["held_kib"] * 1024) / GIB,
+        (servers * COSTS["server_mib"] * MIB + robots * COSTS["held_kib"] * 1024) / GIB,
         yearly * RECORDING_MIB * MIB / TIB,
         yearly * 2 * COSTS["rows_bytes"] / GIB,  # of the upload, and of the watch that follows
         yearly * ENTRIES,
@@ -133,10 +135,8 @@ def _costs() -> str:
 
 def _needs(fleets: list[Need]) -> str:
     rows = [
-        (
-            "polls, uploads",
-            [f"{_short(f.polls_per_s)}/s, {_short(f.uploads_per_s)}/s" for f in fleets],
-        ),
+        ("polls", [f"{_short(f.polls_per_s)}/s" for f in fleets]),
+        ("uploads", [f"{_short(f.uploads_per_s)}/s" for f in fleets]),
         ("cores for servers", [_cores(f.server_cores) for f in fleets]),
         ("cores for PostgreSQL", [_cores(f.database_cores) for f in fleets]),
         ("cores for workers", [_cores(f.worker_cores) for f in fleets]),
@@ -162,7 +162,7 @@ def _cores(cores: float) -> str:
 
 def _short(value: float) -> str:
     """A number with two digits, or whole."""
-    return f"{value:,.0f}" if value >= 10 else f"{value:.2g}"
+    return f"{value:,.0f}" if value >= SHORT_FROM else f"{value:.2g}"
 
 
 def _count(value: float) -> str:

@@ -159,6 +159,7 @@ def test_every_setting_is_documented():
         "api",
         "gates",
         "figures",
+        "capacity",
         "scoreboard",
         "tuning",
     ],
