@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 import uuid
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
@@ -51,6 +52,7 @@ from trueup_worker.webhook_requests import NotDelivered, WebhookRequests
 log = logging.getLogger("trueup.worker")
 
 LOOK_S = 1.0  # between looks for webhooks that are behind
+LOOK_FOR_ANY_S = 3.0  # where there is no webhook, since a look is most of what an idle worker takes
 LOST_S = 30.0  # between looks for deliveries that the engine gave up on
 WINDOW = 100  # entries of the log that one round reads
 ROUNDS = 10  # of one delivery; then other webhooks have their turn
@@ -63,15 +65,23 @@ MEDIA_TYPES = {Form.CLOUDEVENTS: "application/cloudevents+json", Form.SLACK: "ap
 
 def run_deliveries(parts: Parts, stop: threading.Event) -> None:
     """Queues deliveries to webhooks that are behind, until `stop` is set."""
-    looks = 0
-    while not stop.wait(LOOK_S):
+    pause_s, lost_at = LOOK_S, 0.0
+    while not stop.wait(pause_s):
         try:
-            queue_due(parts, datetime.now(UTC))
-            if looks % round(LOST_S / LOOK_S) == 0:
+            has_any = _has_any(parts)
+            pause_s = LOOK_S if has_any else LOOK_FOR_ANY_S
+            if has_any:
+                queue_due(parts, datetime.now(UTC))
+            if has_any and time.monotonic() - lost_at > LOST_S:
                 release_lost(parts)
-            looks += 1
+                lost_at = time.monotonic()
         except Exception:
             log.exception("webhooks that are behind could not be looked for")
+
+
+def _has_any(parts: Parts) -> bool:
+    with reading(parts.database) as tx:
+        return tx.webhook_cursors.has_any()
 
 
 def queue_due(parts: Parts, now: datetime) -> list[str]:

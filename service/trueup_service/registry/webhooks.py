@@ -58,6 +58,11 @@ class WebhookCursors(Repository[WebhookCursor]):
         """The cursor of a webhook."""
         return self._one(select(t.webhook_cursors).where(t.webhook_cursors.c.webhook == webhook))
 
+    def has_any(self) -> bool:
+        """Whether there is a webhook that is neither removed nor stopped."""
+        query = select(t.webhook_cursors.c.webhook).where(*_OPEN).limit(1)
+        return self._connection.scalar(query) is not None
+
     def behind(self, now: str) -> list[WebhookCursor]:
         """The cursors that have not reached the end of the log, are due, and of which no delivery
         is under way."""
