@@ -141,6 +141,18 @@ def test_a_plant_that_is_refused_waits_alone_until_a_window_is_full(parts, recei
     assert (state.state, state.sent, cursor.sent_beyond, cursor.held) == ("sending", size, [], {})
 
 
+def test_behind_a_full_window_nothing_is_sent_and_patience_runs_on(parts, receiver, monkeypatch):
+    monkeypatch.setattr(deliveries, "WINDOW", 1)
+    refuse_a(receiver)
+    happen(parts, "a", "b")
+    run_due(parts)
+    state, cursor, _ = shown(parts)
+    assert plants(receiver) == ["a"]
+    assert (state.state, state.attempts, cursor.entry) == ("failing", 1, None)
+    assert state.failing_since is not None
+    assert run_due(parts) == []
+
+
 def test_a_plant_that_is_refused_for_ever_does_not_stop_a_webhook_that_accepts_others(
     parts, receiver
 ):

@@ -128,6 +128,10 @@ def deliver(parts: Parts, entry: str, webhook: str) -> None:
             if cursor is None or cursor.entry != entry:
                 return  # it was removed
             round_ = _next_round(tx, cursor, time_text(datetime.now(UTC)))
+        if round_.missing and not round_.events:  # all that is left waits by itself
+            with writing(parts.database) as tx:
+                tx.webhook_cursors.note(webhook, entry, None, entry=None)
+            return
         sent = round_.send(parts.settings)
         with writing(parts.database) as tx:
             noted = Noted.of(round_, sent, datetime.now(UTC), parts.settings.webhook_retry_s)

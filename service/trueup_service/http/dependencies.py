@@ -17,6 +17,7 @@ from trueup_service.actor_context import ActorContext, time_text
 from trueup_service.authentication import Principal
 from trueup_service.control_characters import control_character
 from trueup_service.errors import BadRequest
+from trueup_service.http.schemas.wire import NAME_PATTERN
 from trueup_service.inspection import Inspector
 from trueup_service.registry.transaction import Transaction
 from trueup_service.wiring import Parts
@@ -63,9 +64,7 @@ IdempotencyKey = Annotated[
         ),
     ),
 ]
-PlantName = Annotated[
-    str, Path(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}$", description="A plant's name")
-]
+PlantName = Annotated[str, Path(pattern=NAME_PATTERN, description="A plant's name")]
 TokenPrefix = Annotated[str, Path(pattern=r"^[0-9a-f]{12}$", description="A token's public prefix")]
 Digest = Annotated[
     str, Path(pattern=r"^[0-9a-f]{64}$", description="SHA-256, lower-case hexadecimal")

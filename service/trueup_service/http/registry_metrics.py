@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import math
 import shutil
+import time
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 
@@ -15,6 +17,7 @@ from trueup_service.registry.gauges import Gauge, gauges
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
+RECENT_S = 0.5  # metrics are exported every few seconds at most
 log = logging.getLogger("trueup.http")
 
 
@@ -53,16 +56,32 @@ def read_gauges(parts: Parts) -> list[Gauge]:
     ]
 
 
+class _RecentGauges:
+    """The gauges, read once for all that are exported together."""
+
+    def __init__(self, parts: Parts) -> None:
+        self._parts = parts
+        self._read: list[Gauge] = []
+        self._at = -math.inf
+
+    def read(self) -> list[Gauge]:
+        """The gauges, RECENT_S old at most."""
+        if time.monotonic() - self._at > RECENT_S:
+            self._read, self._at = read_gauges(self._parts), time.monotonic()
+        return self._read
+
+
 def export_gauges(parts: Parts) -> None:
     """Export the gauges over OTLP, where anything is."""
     if not open_telemetry.is_on():
         return
-    for gauge in read_gauges(parts):
+    recent = _RecentGauges(parts)
+    for gauge in recent.read():
 
         def read(name: str = gauge.name) -> Sequence[open_telemetry.Gauge]:
             return [
                 ({one.label: value} if one.label else {}, number)
-                for one in read_gauges(parts)
+                for one in recent.read()
                 if one.name == name
                 for value, number in one.values.items()
             ]

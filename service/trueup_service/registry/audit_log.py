@@ -22,7 +22,7 @@ ESCAPE = "\\"
 # Statements of the busiest paths, built once: building one costs about as much as running it.
 _HEAD = select(t.audit_head.c.size, t.audit_head.c.frontier).where(t.audit_head.c.id == 1)
 _LOCK_HEAD = _HEAD.with_for_update()
-_SIZE = select(t.audit_head.c.size).where(t.audit_head.c.id == 1).scalar_subquery()
+LOG_SIZE = select(t.audit_head.c.size).where(t.audit_head.c.id == 1).scalar_subquery()
 _MOVE_HEAD = update(t.audit_head).values(
     size=bindparam("new_size"), frontier=bindparam("new_frontier")
 )
@@ -93,7 +93,7 @@ class AuditLog:
 
     def size(self) -> int:
         """How many entries the log has."""
-        return int(self._connection.scalar(select(_SIZE)) or 0)
+        return int(self._connection.scalar(select(LOG_SIZE)) or 0)
 
     def tree(self) -> Frontier:
         """The tree as it stands. Raises BrokenChain where the log has no head."""
@@ -107,7 +107,7 @@ class AuditLog:
     ) -> list[AuditEntry]:
         """Entries in order from behind one: all of them, or those of a plant or of the plants of a
         project."""
-        query = select(t.audit).where(t.audit.c.sequence > after, t.audit.c.sequence <= _SIZE)
+        query = select(t.audit).where(t.audit.c.sequence > after, t.audit.c.sequence <= LOG_SIZE)
         query = _of(query, plant, project)
         return self._all(query.order_by(t.audit.c.sequence).limit(limit))
 
@@ -123,7 +123,7 @@ class AuditLog:
         """Entries of these kinds in order from behind one: of all plants, of one, or of those of a
         project. Entries of no plant are left out where a plant or project is named."""
         query = select(t.audit).where(
-            t.audit.c.sequence > after, t.audit.c.sequence <= _SIZE, t.audit.c.kind.in_(kinds)
+            t.audit.c.sequence > after, t.audit.c.sequence <= LOG_SIZE, t.audit.c.kind.in_(kinds)
         )
         return self._all(_of(query, plant, project).order_by(t.audit.c.sequence).limit(limit))
 
@@ -166,7 +166,7 @@ class AuditLog:
 
     def count_beyond_end(self) -> int:
         """How many entries are stored behind the end of the log, where none can be."""
-        query = select(func.count()).select_from(t.audit).where(t.audit.c.sequence > _SIZE)
+        query = select(func.count()).select_from(t.audit).where(t.audit.c.sequence > LOG_SIZE)
         return int(self._connection.scalar(query) or 0)
 
     def nodes(self, nodes: Iterable[Node]) -> dict[Node, bytes]:

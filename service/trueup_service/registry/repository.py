@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from typing import Any, Generic, TypeVar
 
-from sqlalchemy import ColumnElement, Connection, Select, Table, Update, insert, select
+from sqlalchemy import ColumnElement, Connection, Select, Table, Update, insert, select, update
 from sqlalchemy.engine import RowMapping
 
 from trueup.ledger.rows import KEYS, row_digest, row_name
@@ -113,6 +113,19 @@ class Repository(Generic[R]):
     def add(self, record: R) -> None:
         """Add a record as a row, which the next entry of the log names."""
         self._gateway.add(self.table, values_of(record))
+
+    def _end_once(self, of: ColumnElement[bool], how: str, now: str, actor: str) -> bool:
+        """Mark the one row that a condition names as ended, in the columns `<how>_at` and
+        `<how>_by`. Returns False, and changes nothing, where it is marked already."""
+        ended = self._gateway.update(
+            update(self.table),
+            of,
+            self.table.c[f"{how}_at"].is_(None),
+            **{f"{how}_at": now, f"{how}_by": actor},
+        )
+        if ended:
+            self._gateway.note_changed(self.table, of)
+        return ended
 
     def _one(self, query: Select[Any], **values: Any) -> R | None:
         return self._gateway.one(self.record, self.table, query, values)

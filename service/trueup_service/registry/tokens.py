@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sqlalchemy import delete, select, update
+from sqlalchemy import delete, select
 
 from trueup_service.registry import tables as t
 from trueup_service.registry.records import TokenRecord
@@ -24,17 +24,7 @@ class Tokens(Repository[TokenRecord]):
 
     def revoke(self, prefix: str, now: str, actor: str) -> bool:
         """Revoke a token. Returns False where it is revoked already."""
-        of_prefix = t.tokens.c.prefix == prefix
-        revoked = self._gateway.update(
-            update(t.tokens),
-            of_prefix,
-            t.tokens.c.revoked_at.is_(None),
-            revoked_at=now,
-            revoked_by=actor,
-        )
-        if revoked:
-            self._gateway.note_changed(t.tokens, of_prefix)
-        return revoked
+        return self._end_once(t.tokens.c.prefix == prefix, "revoked", now, actor)
 
 
 class Sessions:

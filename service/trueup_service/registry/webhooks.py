@@ -8,6 +8,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, or_, select, update
 
 from trueup_service.registry import tables as t
+from trueup_service.registry.audit_log import LOG_SIZE
 from trueup_service.registry.records import WebhookCursor, WebhookRecord
 from trueup_service.registry.repository import Repository
 from trueup_service.registry.row_format import document_text
@@ -28,17 +29,7 @@ class Webhooks(Repository[WebhookRecord]):
 
     def remove(self, name: str, now: str, actor: str) -> bool:
         """Mark a webhook as removed. Returns False where it is removed already."""
-        of_name = t.webhooks.c.name == name
-        removed = self._gateway.update(
-            update(t.webhooks),
-            of_name,
-            t.webhooks.c.removed_at.is_(None),
-            removed_at=now,
-            removed_by=actor,
-        )
-        if removed:
-            self._gateway.note_changed(t.webhooks, of_name)
-        return removed
+        return self._end_once(t.webhooks.c.name == name, "removed", now, actor)
 
 
 _OPEN = (
@@ -46,7 +37,6 @@ _OPEN = (
     t.webhooks.c.removed_at.is_(None),
     t.webhook_cursors.c.stopped_at.is_(None),
 )
-_SIZE = select(t.audit_head.c.size).where(t.audit_head.c.id == 1).scalar_subquery()
 
 
 class WebhookCursors(Repository[WebhookCursor]):
@@ -72,7 +62,7 @@ class WebhookCursors(Repository[WebhookCursor]):
                 *_OPEN,
                 of.entry.is_(None),
                 or_(of.due_at.is_(None), of.due_at <= now),
-                of.sent < _SIZE,
+                of.sent < LOG_SIZE,
             )
         )
 

@@ -31,13 +31,11 @@ from trueup_service.http.schemas.serving import (
     ChannelPosition,
     Evidence,
 )
-from trueup_service.http.schemas.wire import Page, page
+from trueup_service.http.schemas.wire import NAME_PATTERN, Page, page
 from trueup_service.registry.transaction import Transaction, reading
 
 router = guarded("/v1/plants/{plant}", ["channels"])
-ChannelName = Annotated[
-    str, Path(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}$", description="A channel's name")
-]
+ChannelName = Annotated[str, Path(pattern=NAME_PATTERN, description="A channel's name")]
 PAGE_BYTES = 2 << 20  # documents of one page, unless the first one alone has more
 CHANNEL = {
     "name": "channel",

@@ -16,15 +16,13 @@ from trueup_service.http.schemas.webhooks import (
     Resumption,
     Webhook,
 )
-from trueup_service.http.schemas.wire import Page, page
+from trueup_service.http.schemas.wire import NAME_PATTERN, Page, page
 from trueup_service.registry.transaction import reading, writing
 from trueup_service.webhook_targets import WebhookTargets
 
 router = guarded("/v1/webhooks", ["webhooks"])
 
-WebhookName = Annotated[
-    str, Path(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}$", description="A webhook's name")
-]
+WebhookName = Annotated[str, Path(pattern=NAME_PATTERN, description="A webhook's name")]
 
 
 @router.post("", status_code=201, summary="Declare a webhook")

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, Field
 
-from trueup_service.http.schemas.wire import Digest, FromRecord, RequestBody, Time
+from trueup_service.http.schemas.wire import NAME_PATTERN, Digest, FromRecord, RequestBody, Time
 
 
 class Artifact(FromRecord):
@@ -72,7 +72,7 @@ class Rollback(RequestBody):
 class ChannelDeclaration(RequestBody):
     """A new channel of serving, and the stages whose passed evidence it requires."""
 
-    name: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}$")
+    name: str = Field(pattern=NAME_PATTERN)
     requires: list[Literal["MIL", "SIL", "PIL", "HIL", "physical"]] = Field([])
 
 
