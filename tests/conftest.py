@@ -13,7 +13,7 @@ from hypothesis import settings
 from tests.support.postgres import Postgres, start_postgres
 from tests.support.s3 import S3, start_s3
 from tests.support.service import ADMIN, Service
-from tests.support.storage import Storage, embedded, scaled
+from tests.support.storage import Storage, requested
 from trueup_client import Client
 
 settings.register_profile("trueup", deadline=None)  # no test is about how fast a machine is
@@ -37,11 +37,7 @@ def s3() -> Iterator[S3]:
 @pytest.fixture(params=["embedded", "scaled"])
 def storage(request: pytest.FixtureRequest, tmp_path: Path) -> Storage:
     """A fresh storage: SQLite and a folder, then PostgreSQL and S3."""
-    if request.param == "embedded":
-        return embedded(tmp_path / "data")
-    return scaled(
-        tmp_path / "data", request.getfixturevalue("postgres"), request.getfixturevalue("s3")
-    )
+    return requested(request, tmp_path / "data")
 
 
 @pytest.fixture(scope="module", params=["embedded", "scaled"])
@@ -52,12 +48,7 @@ def service(
 
     It ends with the file, so that each file begins with an empty log.
     """
-    data = tmp_path_factory.mktemp("service")
-    storage = (
-        embedded(data)
-        if request.param == "embedded"
-        else scaled(data, request.getfixturevalue("postgres"), request.getfixturevalue("s3"))
-    )
+    storage = requested(request, tmp_path_factory.mktemp("service"))
     with Service(storage).running() as running:
         yield running
 

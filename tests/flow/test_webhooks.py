@@ -18,7 +18,7 @@ from tests.support.gates import LENIENT
 from tests.support.made import episode_bytes, plant_document, save
 from tests.support.receiver import receiving
 from tests.support.service import ROOT, Service, command, kill
-from tests.support.storage import embedded, scaled
+from tests.support.storage import requested
 from trueup.episode.role import Role
 from trueup_client import Client, Problem
 from trueup_service.registry.tables import webhook_cursors
@@ -29,12 +29,7 @@ EVENTS = ["episode", "alarm", "diagnosis", "decision", "promotion", "rollback"]
 
 @pytest.fixture(scope="module", params=["embedded", "scaled"])
 def service(request, tmp_path_factory):
-    data = tmp_path_factory.mktemp("service")
-    storage = (
-        embedded(data)
-        if request.param == "embedded"
-        else scaled(data, request.getfixturevalue("postgres"), request.getfixturevalue("s3"))
-    )
+    storage = requested(request, tmp_path_factory.mktemp("service"))
     settings = {
         "webhook_hosts": "127.0.0.1,localhost,*.example.com",
         "webhook_private_ranges": "127.0.0.0/8",

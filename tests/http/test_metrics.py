@@ -14,7 +14,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from tests.support.made import episode_bytes, plant_document, save
 from tests.support.receiver import receiving
 from tests.support.service import ADMIN, ROOT, Service
-from tests.support.storage import embedded, scaled
+from tests.support.storage import requested
 from trueup_client import Client, Problem
 
 DASHBOARD = json.loads((ROOT / "deploy" / "grafana" / "trueup.json").read_text())
@@ -30,12 +30,7 @@ OF_PROMETHEUS = {"up"}
 
 @pytest.fixture(scope="module", params=["embedded", "scaled"])
 def service(request, tmp_path_factory):
-    data = tmp_path_factory.mktemp("service")
-    storage = (
-        embedded(data)
-        if request.param == "embedded"
-        else scaled(data, request.getfixturevalue("postgres"), request.getfixturevalue("s3"))
-    )
+    storage = requested(request, tmp_path_factory.mktemp("service"))
     settings = {"webhook_hosts": "127.0.0.1", "webhook_private_ranges": "127.0.0.0/8"}
     with Service(storage, **settings).running() as running:
         yield running

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import pytest
+
 from tests.support.postgres import Postgres
 from tests.support.s3 import S3
 from trueup.ledger.signed_note import Signer
@@ -58,3 +60,11 @@ def scaled(folder: Path, postgres: Postgres, s3: S3) -> Storage:
         "TRUEUP_SIGNING_KEY": SIGNING_KEY,
     }
     return Storage("scaled", embedded(folder).environment | more)
+
+
+def requested(request: pytest.FixtureRequest, folder: Path) -> Storage:
+    """Returns a fresh storage of the kind that is the parameter of a fixture: `embedded`, or
+    `scaled` on the servers of the tests."""
+    if request.param == "embedded":
+        return embedded(folder)
+    return scaled(folder, request.getfixturevalue("postgres"), request.getfixturevalue("s3"))
