@@ -29,6 +29,7 @@ PRELOADED = [
     "trueup.gate.recompute", "trueup_client", "trueup_service.http.app",
     "trueup_service.http.serve", "trueup_service.authentication",
     "trueup_service.logs", "trueup_worker.main", "trueup_worker.run_job",
+    "tests.support.fork_server",
 ]  # fmt: skip
 # which says what its own are forked from; where tests run, they are forked from the same
 importlib.import_module("trueup_worker.compute_process")
