@@ -34,8 +34,9 @@ _AS_CANONICAL = (
     | orjson.OPT_PASSTHROUGH_DATETIME
 )
 _PERHAPS_EXPONENT = re.compile(rb"[0-9]e[-+0-9]")
-_EXPONENT = re.compile(rb"(?<![a-z0-9.])[-0-9.]+e[-+0-9]")
+_TEXT_OR_EXPONENT = re.compile(rb'"(?:[^"\\]|\\.)*"|([0-9]e[-+0-9])')
 _WHOLE = re.compile(rb"[0-9]\.0(?![0-9])")
+_TEXT_OR_WHOLE = re.compile(rb'"(?:[^"\\]|\\.)*"|(-?[0-9]+)\.0(?![0-9])')
 _BEYOND_16_BITS = re.compile(rb"[\xf0-\xff]")
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 
@@ -67,13 +68,21 @@ def _quickly(value: Json) -> bytes | None:
     except TypeError:
         return None
     if (
-        (_PERHAPS_EXPONENT.search(written) and _EXPONENT.search(written))
+        (
+            _PERHAPS_EXPONENT.search(written)
+            and any(match[1] for match in _TEXT_OR_EXPONENT.finditer(written))
+        )
         or (not written.isascii() and _BEYOND_16_BITS.search(written))
-        or _WHOLE.search(written)
         or (b"null" in written and orjson.loads(written) != value)  # a NaN is no null
     ):
         return None
-    return written
+    return _TEXT_OR_WHOLE.sub(_whole, written) if _WHOLE.search(written) else written
+
+
+def _whole(match: re.Match[bytes]) -> bytes:
+    """A whole number without its point, and a text as it is."""
+    number = match[1]
+    return match[0] if number is None else b"0" if number == b"-0" else number
 
 
 def _plain_text(value: object) -> str:

@@ -19,6 +19,7 @@ from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.database import Database, copy_sqlite
 from trueup_service.registry.folder_blobs import FolderBlobs
 from trueup_service.registry.schema import migrate
+from trueup_service.registry.writer import Writer
 from trueup_service.settings import Settings
 
 STORE_RETRIES = 3  # of a request; then the caller repeats it with its idempotency key
@@ -31,12 +32,14 @@ class Parts:
 
     settings: Settings
     database: Database
+    writer: Writer
     blobs: Blobs
     queue: JobQueue
     spool: Path
 
     def close(self) -> None:
         """Close every connection."""
+        self.writer.close()
         self.database.close()
 
 
@@ -48,6 +51,7 @@ def build(settings: Settings) -> Parts:
     return Parts(
         settings,
         database,
+        Writer(database),
         _blobs(settings),
         JobQueue(settings.sqlalchemy_url, database.engine),
         own_folder(settings.data_dir / "spool"),
@@ -73,6 +77,7 @@ def build_to_read(settings: Settings) -> Iterator[Parts]:
             parts = Parts(
                 settings,
                 database,
+                Writer(database),
                 _blobs(settings),
                 JobQueue(url, database.engine),
                 own_folder(folder / "spool"),

@@ -59,7 +59,7 @@ def test_the_record_that_was_made_with_the_decision_is_that_of_the_move(accepted
 def test_other_code_rehearses_again(accepted, monkeypatch):
     client, parts, decisions = accepted
     monkeypatch.setattr(promotion, "code_identity", lambda: {"version": "another"})
-    promotion.promote(parts, CONTEXT, "p", decisions[1], 2, None)
+    asyncio.run(promotion.promote(parts, CONTEXT, "p", decisions[1], 2, None))
     made = facts_of(client, "decision:made", decisions[1])["rehearsed"]
     moved = facts_of(client, "pointer:moved", decisions[1])["rehearsed"]
     assert (made["artifact"], made["at"] < moved["at"]) == (moved["artifact"], True)
@@ -75,5 +75,5 @@ def test_a_way_back_that_was_damaged_since_is_refused(accepted, monkeypatch):
 
     monkeypatch.setattr(type(parts.blobs), "get", damaged)
     with pytest.raises(SwitchbackFailed):
-        promotion.promote(parts, CONTEXT, "p", decisions[1], 2, None)
+        asyncio.run(promotion.promote(parts, CONTEXT, "p", decisions[1], 2, None))
     assert client.serving("p").generation == 2

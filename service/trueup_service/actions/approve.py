@@ -64,11 +64,10 @@ def approved_by_others(
 ) -> list[Approval]:
     """One approval of each person other than the one who promotes, by name. Of several approvals of
     a person the first with a reason counts, and those of revoked tokens do not."""
-    promoting = person_of(tx, context.token, context.actor)
+    approvals = tx.approvals.of_decision(plant, decision)
+    promoting = person_of(tx, context.token, context.actor) if approvals else None
     people: dict[str, Approval] = {}
-    for approval in sorted(
-        tx.approvals.of_decision(plant, decision), key=lambda a: (a.because is None, a.at, a.token)
-    ):
+    for approval in sorted(approvals, key=lambda a: (a.because is None, a.at, a.token)):
         person = person_of(tx, approval.token, approval.actor)
         if person is not None and person != promoting:
             people.setdefault(person, approval)

@@ -149,12 +149,15 @@ def rejections(tx: ReadTransaction, made: DecisionRecord) -> list[DecisionRecord
     """The decisions, whenever they were made, that rejected the candidate of a decision, or one
     with the same errors."""
     document: Any = made.document
+    rejected = tx.decisions.rejections_of(
+        made.plant, [made.candidate, *alike(document)], document["episodes"]
+    )
+    if not rejected:
+        return []
     scoring = find.gate(tx, made.plant, made.gate).document["scoring"]
     return [
         other
-        for other in tx.decisions.rejections_of(
-            made.plant, [made.candidate, *alike(document)], document["episodes"]
-        )
+        for other in rejected
         if rejects(
             other.document,
             document,

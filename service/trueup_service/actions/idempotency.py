@@ -10,7 +10,7 @@ from typing import Any
 from trueup.canonical import Json, digest_of
 from trueup_service.actor_context import ActorContext
 from trueup_service.errors import KeyReused
-from trueup_service.registry.transaction import Transaction, writing
+from trueup_service.registry.transaction import Transaction
 from trueup_service.wiring import Parts
 
 
@@ -59,11 +59,19 @@ def run_once(
 ) -> dict[str, Any]:
     """Run an action in a transaction of its own. Under an idempotency key it runs once, and a
     repeated request gets the kept response. Raises KeyReused."""
-    with writing(parts.database) as tx:
-        if key is None:
-            return act(tx)
-        unique = IdempotencyKey(f"{scope}@{context.token}", key, digest_of(request))
-        return run_once_in(tx, unique, context.now, lambda: act(tx))
+    return parts.writer.run(_under_key(context, scope, key, request, act))
+
+
+async def run_once_async(
+    parts: Parts,
+    context: ActorContext,
+    scope: str,
+    key: str | None,
+    request: Json,
+    act: Callable[[Transaction], dict[str, Any]],
+) -> dict[str, Any]:
+    """`run_once` from the event loop."""
+    return await parts.writer.run_async(_under_key(context, scope, key, request, act))
 
 
 def create_once(
@@ -76,10 +84,43 @@ def create_once(
 ) -> Created:
     """Run an action that returns a record and whether it is new, as `run_once` does. Raises
     KeyReused."""
+    return _created(run_once(parts, context, scope, key, request, _as_document(act)))
 
+
+async def create_once_async(
+    parts: Parts,
+    context: ActorContext,
+    scope: str,
+    key: str | None,
+    request: Json,
+    act: Callable[[Transaction], tuple[Any, bool]],
+) -> Created:
+    """`create_once` from the event loop."""
+    return _created(await run_once_async(parts, context, scope, key, request, _as_document(act)))
+
+
+def _under_key(
+    context: ActorContext,
+    scope: str,
+    key: str | None,
+    request: Json,
+    act: Callable[[Transaction], dict[str, Any]],
+) -> Callable[[Transaction], dict[str, Any]]:
+    if key is None:
+        return act
+    unique = IdempotencyKey(f"{scope}@{context.token}", key, digest_of(request))
+    return lambda tx: run_once_in(tx, unique, context.now, lambda: act(tx))
+
+
+def _as_document(
+    act: Callable[[Transaction], tuple[Any, bool]],
+) -> Callable[[Transaction], dict[str, Any]]:
     def run(tx: Transaction) -> dict[str, Any]:
         record, is_new = act(tx)
         return {"record": asdict(record), "new": is_new}
 
-    response = run_once(parts, context, scope, key, request, run)
+    return run
+
+
+def _created(response: dict[str, Any]) -> Created:
     return Created(response["record"], response["new"])

@@ -7,8 +7,10 @@ pointer moves, if it still stands where the rehearsal found it.
 
 from __future__ import annotations
 
+import asyncio
+import math
 import uuid
-from collections.abc import Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -19,7 +21,7 @@ from trueup_service.actions import find
 from trueup_service.actions.approve import require_approvals
 from trueup_service.actions.continue_cycle import Cycle
 from trueup_service.actions.gate_line import DECIDED
-from trueup_service.actions.idempotency import run_once
+from trueup_service.actions.idempotency import run_once, run_once_async
 from trueup_service.actions.move_pointer import (
     Older,
     chosen_position,
@@ -32,11 +34,13 @@ from trueup_service.actor_context import ActorContext
 from trueup_service.errors import SwitchbackFailed
 from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.records import ArtifactRecord, Move
-from trueup_service.registry.transaction import Transaction, reading
+from trueup_service.registry.transaction import ReadTransaction, Transaction, reading
 from trueup_service.wiring import Parts
 
+SMALL_BYTES = 1 << 20  # of arrays whose digest is checked inside a transaction
 
-def promote(
+
+async def promote(
     parts: Parts,
     context: ActorContext,
     plant: str,
@@ -49,17 +53,31 @@ def promote(
     Raises NotFound, NotAccepted, RejectedBefore, ApprovalMissing, PointerMoved, SwitchbackFailed,
     KeyReused.
     """
-    rehearsal = _rehearse_promotion(parts, context, plant, decision)
 
-    def act(tx: Transaction) -> dict[str, Any]:
-        approved: dict[str, Json] = {"approved_by": require_approvals(tx, plant, decision, context)}
-        move = promote_decision(
-            tx, plant, decision, expected_generation, rehearsal, context, approved
-        )
-        return _moved(parts, tx, move, context)
+    def run(rehearse: Callable[[ReadTransaction], dict[str, Json]]) -> Awaitable[dict[str, Any]]:
+        def act(tx: Transaction) -> dict[str, Any]:
+            approvals: list[Json] = require_approvals(tx, plant, decision, context)
+            approved: dict[str, Json] = {"approved_by": approvals}
+            rehearsed = rehearse(tx)
+            move = promote_decision(
+                tx, plant, decision, expected_generation, rehearsed, context, approved
+            )
+            return _moved(parts, tx, move, context)
 
-    request: Json = {"decision": decision, "expected_generation": expected_generation}
-    return run_once(parts, context, f"promote/{plant}", key, request, act)
+        request: Json = {"decision": decision, "expected_generation": expected_generation}
+        return run_once_async(parts, context, f"promote/{plant}", key, request, act)
+
+    def recorded(tx: ReadTransaction) -> dict[str, Json]:
+        rehearsed = _recorded_rehearsal(parts.blobs, tx, plant, decision, SMALL_BYTES)
+        if rehearsed is None:
+            raise _NotRehearsedError
+        return rehearsed
+
+    try:
+        return await run(recorded)
+    except _NotRehearsedError:
+        rehearsed = await asyncio.to_thread(_rehearse, parts, context, plant, decision)
+        return await run(lambda _: rehearsed)
 
 
 def roll_back(
@@ -150,25 +168,39 @@ def _named(older: Older) -> dict[str, Json]:
     }
 
 
-def _rehearse_promotion(
-    parts: Parts, context: ActorContext, plant: str, decision: str
-) -> dict[str, Any]:
-    """The record of the way back from the candidate of a decision, empty where the decision cannot
-    be promoted anyway. Raises NotFound, SwitchbackFailed.
+class _NotRehearsedError(Exception):
+    """The way back must be rehearsed first, outside a transaction."""
 
-    It is the record that was made when the candidate was accepted, if this code made it and the
-    bytes of what to go back to are still those that it names.
+
+def _recorded_rehearsal(
+    blobs: Blobs, tx: ReadTransaction, plant: str, decision: str, limit_bytes: float
+) -> dict[str, Json] | None:
+    """The record of the way back that was made when the candidate of a decision was accepted, empty
+    where the decision cannot be promoted anyway. Raises NotFound.
+
+    None unless this code made it, and the bytes of what to go back to, up to a limit, are still
+    those that it names.
     """
-    with reading(parts.database) as tx:
-        made, serving = find.decision(tx, plant, decision), find.serving(tx, plant)
-        if not made.accepted or made.generation != serving.generation:
-            return {}
-        incumbent = find.artifact(tx, plant, made.incumbent)
-        entry = tx.log.first_entry(decision, DECIDED)
+    made, serving = find.decision(tx, plant, decision), find.serving(tx, plant)
+    if not made.accepted or made.generation != serving.generation:
+        return {}
+    entry = tx.log.first_entry(decision, DECIDED)
     rehearsed: Any = {} if entry is None else entry.facts.get("rehearsed") or {}
-    if rehearsed.get("loaded_by") == code_identity() and is_intact(parts.blobs, incumbent):
-        return dict(rehearsed)
+    if rehearsed.get("loaded_by") != code_identity():
+        return None
+    incumbent = find.artifact(tx, plant, made.incumbent)
+    return dict(rehearsed) if is_intact(blobs, incumbent, limit_bytes) else None
+
+
+def _rehearse(parts: Parts, context: ActorContext, plant: str, decision: str) -> dict[str, Json]:
+    """The record of the way back from the candidate of a decision, rehearsed now where the recorded
+    one does not hold. Raises NotFound, SwitchbackFailed."""
     with reading(parts.database) as tx:
+        recorded = _recorded_rehearsal(parts.blobs, tx, plant, decision, math.inf)
+        if recorded is not None:
+            return recorded
+        made = find.decision(tx, plant, decision)
+        incumbent = find.artifact(tx, plant, made.incumbent)
         candidate = find.artifact(tx, plant, made.candidate)
         plant_digest = find.plant_digest(tx, plant)
         gate = find.gate(tx, plant, made.gate)
@@ -186,12 +218,18 @@ def _rehearse_promotion(
     )
 
 
-def is_intact(blobs: Blobs, record: ArtifactRecord) -> bool:
-    """Whether an artifact's manifest and arrays are still the bytes that its digests name."""
+def is_intact(blobs: Blobs, record: ArtifactRecord, limit_bytes: float) -> bool:
+    """Whether an artifact's manifest and arrays are still the bytes that its digests name. False
+    also where its arrays have more than so many bytes."""
     if digest_of_bytes(record.manifest.encode()) != record.digest:
         return False
+    if record.arrays is None:
+        return True
     try:
-        return record.arrays is None or digest_of_bytes(blobs.get(record.arrays)) == record.arrays
+        return (
+            blobs.size(record.arrays) <= limit_bytes
+            and digest_of_bytes(blobs.get(record.arrays)) == record.arrays
+        )
     except TrueupError:
         return False
 

@@ -30,6 +30,7 @@ from trueup_service.http.pages import session as session_page
 from trueup_service.http.pages import study as study_page
 from trueup_service.http.registry_metrics import export_gauges
 from trueup_service.http.request_telemetry import RequestTelemetry
+from trueup_service.http.route_index import RouteIndex
 from trueup_service.http.routers import (
     access,
     artifacts,
@@ -65,7 +66,6 @@ Errors are `application/problem+json` with a stable `code` and a `hint`. Every P
 `Idempotency-Key`."""
 
 
-# Routes are tried in order, and fleets ask most what serves.
 ROUTERS = (
     serving, plants, episodes, uploads, telemetry, artifacts, families, gates, jobs, decisions,
     monitors, policies, channels, audit, access, webhooks,
@@ -144,10 +144,8 @@ def create_app(parts: Parts) -> FastAPI:
     )
     problems.install(app)
     openapi.install(app)
-    for module in ROUTERS:
-        app.include_router(module.router)
-    for page in PAGES:
-        app.include_router(page.router, include_in_schema=False)
+    routes = [route for module in (*ROUTERS, *PAGES) for route in module.router.routes]
+    app.router.routes += [RouteIndex(routes), *routes]
     app.add_middleware(BodyLimit, room_bytes=parts.settings.bodies_limit_bytes)
     app.add_middleware(AllowedHosts, settings=parts.settings)
     app.add_middleware(RequestTelemetry)

@@ -12,7 +12,7 @@ from pydantic import BaseModel
 
 from trueup.canonical import Json
 from trueup.ledger.person import actor_of
-from trueup_service.actions.idempotency import Created, create_once
+from trueup_service.actions.idempotency import Created, create_once, create_once_async
 from trueup_service.actor_context import ActorContext, time_text
 from trueup_service.authentication import Principal
 from trueup_service.control_characters import control_character
@@ -87,6 +87,19 @@ def created(result: Created, kind: type[BaseModel]) -> Response:
         201 if result.is_new else 200,
         media_type="application/json",
     )
+
+
+async def create_async(
+    parts: Parts,
+    context: ActorContext,
+    scope: str,
+    key: str | None,
+    request: Json,
+    act: Callable[[Transaction], tuple[Any, bool]],
+    kind: type[BaseModel],
+) -> Response:
+    """`create` from the event loop."""
+    return created(await create_once_async(parts, context, scope, key, request, act), kind)
 
 
 def create(

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
-from typing import Annotated, Any
+from typing import Annotated
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Depends, Request
 from fastapi.routing import APIRoute
 from starlette.concurrency import run_in_threadpool
 from starlette.types import Receive, Scope, Send
@@ -43,40 +42,11 @@ async def authorise(request: Request, path: str) -> None:
         await _require_plant(request, principal)
 
 
-class Polled(Guarded):
-    """A route that fleets poll. Its endpoint takes the request alone and gives the response, so the
-    framework, which would cost more than the answer, is left out between them."""
-
-    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Authenticate and authorise, then answer. Raises Unauthenticated, Forbidden, NotFound."""
-        if scope["method"] not in (self.methods or ()):
-            await super().handle(scope, receive, send)
-            return
-        request = Request(scope, receive, send)
-        await authorise(request, self.path)
-        response = await self.endpoint(request)
-        await response(scope, receive, send)
-
-
-Endpoint = Callable[[Request], Awaitable[Response]]
-
-
-def polled_route(router: APIRouter, path: str, **options: Any) -> Callable[[Endpoint], Endpoint]:
-    """A decorator that makes a polled GET route of an endpoint, with the options of
-    `APIRouter.get`."""
-
-    def register(endpoint: Endpoint) -> Endpoint:
-        router.add_api_route(
-            path, endpoint, methods=["GET"], route_class_override=Polled, **options
-        )
-        return endpoint
-
-    return register
-
-
-def guarded(prefix: str, tags: list[str]) -> APIRouter:
+def guarded(prefix: str, tags: list[str], *, documented: bool = True) -> APIRouter:
     """A router whose routes are guarded."""
-    return APIRouter(prefix=prefix, tags=list(tags), route_class=Guarded)
+    return APIRouter(
+        prefix=prefix, tags=list(tags), route_class=Guarded, include_in_schema=documented
+    )
 
 
 async def _authenticate(request: Request) -> Principal:

@@ -8,9 +8,9 @@ from trueup_service.registry import tables as t
 from trueup_service.registry.records import ArtifactRecord
 from trueup_service.registry.repository import Repository
 
-_OF_PLANT = t.artifacts.c.plant == bindparam("plant")
-_ARTIFACT = select(t.artifacts).where(_OF_PLANT, t.artifacts.c.digest == bindparam("digest"))
-_LATEST_VERSION = select(func.max(t.artifacts.c.version)).where(_OF_PLANT)
+_LATEST_VERSION = select(func.max(t.artifacts.c.version)).where(
+    t.artifacts.c.plant == bindparam("plant")
+)
 
 
 class Artifacts(Repository[ArtifactRecord]):
@@ -20,15 +20,11 @@ class Artifacts(Repository[ArtifactRecord]):
 
     def get(self, plant: str, digest: str) -> ArtifactRecord | None:
         """An artifact of a plant by the digest of its manifest."""
-        return self._one(_ARTIFACT, plant=plant, digest=digest)
+        return self._by(plant=plant, digest=digest)
 
     def by_version(self, plant: str, version: int) -> ArtifactRecord | None:
         """An artifact of a plant by its version."""
-        return self._one(
-            select(t.artifacts).where(
-                t.artifacts.c.plant == plant, t.artifacts.c.version == version
-            )
-        )
+        return self._by(plant=plant, version=version)
 
     def page(self, plant: str, after: int, limit: int) -> list[ArtifactRecord]:
         """Artifacts in the order of their versions from behind one."""
@@ -36,8 +32,7 @@ class Artifacts(Repository[ArtifactRecord]):
 
     def newest_of_kind(self, plant: str, kind: str) -> ArtifactRecord | None:
         """The newest artifact of a plant whose model is of a kind."""
-        query = select(t.artifacts).where(t.artifacts.c.plant == plant, t.artifacts.c.kind == kind)
-        return self._one(query.order_by(t.artifacts.c.version.desc()).limit(1))
+        return self._last("version", plant=plant, kind=kind)
 
     def latest_version(self, plant: str) -> int:
         """The highest version of a plant, 0 where there is none."""

@@ -18,9 +18,7 @@ class Channels(Repository[ChannelRecord]):
 
     def get(self, plant: str, name: str) -> ChannelRecord | None:
         """A channel of a plant by its name."""
-        return self._one(
-            select(t.channels).where(t.channels.c.plant == plant, t.channels.c.name == name)
-        )
+        return self._by(plant=plant, name=name)
 
     def page(self, plant: str, after: str, limit: int) -> list[ChannelRecord]:
         """Channels by name from behind one."""
@@ -34,9 +32,7 @@ class ChannelMoves(Repository[ChannelMove]):
 
     def last(self, plant: str, channel: str) -> ChannelMove | None:
         """Where a channel stands, None where it never served."""
-        of = t.channel_moves.c
-        query = select(t.channel_moves).where(of.plant == plant, of.channel == channel)
-        return self._one(query.order_by(of.generation.desc()).limit(1))
+        return self._last("generation", plant=plant, channel=channel)
 
 
 class EvidenceOfArtifacts(Repository[EvidenceRecord]):
@@ -46,9 +42,7 @@ class EvidenceOfArtifacts(Repository[EvidenceRecord]):
 
     def get(self, plant: str, digest: str) -> EvidenceRecord | None:
         """Evidence by the digest of its document."""
-        return self._one(
-            select(t.evidence).where(t.evidence.c.plant == plant, t.evidence.c.digest == digest)
-        )
+        return self._by(plant=plant, digest=digest)
 
     def last_by_stage(self, plant: str, artifact: str) -> dict[str, tuple[str, bool]]:
         """The last evidence of an artifact at each stage: its digest, and whether it passed."""

@@ -58,12 +58,19 @@ class Database:
     @contextmanager
     def write(self) -> Iterator[Connection]:
         """A transaction that commits when it is left without an error."""
-        with (
-            self._queue,
-            self.engine.connect().execution_options(**{_WRITES: True}) as connection,
-            connection.begin(),
-        ):
+        with self._queue, self.connect_to_write() as connection, connection.begin():
             yield connection
+
+    @contextmanager
+    def write_on(self, connection: Connection) -> Iterator[None]:
+        """A transaction as `write` gives, on a connection of `connect_to_write`."""
+        with self._queue, connection.begin():
+            yield
+
+    def connect_to_write(self) -> Connection:
+        """A connection whose transactions write. Kept open it keeps what it has read of the
+        database, until another connection writes."""
+        return self.engine.connect().execution_options(**{_WRITES: True})
 
     def change_counter(self) -> ChangeCounter | None:
         """A counter of commits, None where the database has none that is cheaper than a query."""
@@ -117,8 +124,9 @@ class ChangeCounter:
 def _sqlite_engine(url: str, pool: int) -> Engine:
     engine = create_engine(
         url,
-        pool_size=pool,
+        pool_size=pool + 1,  # one is the writer's
         max_overflow=0,
+        pool_use_lifo=True,  # the connection used last has read most of what is asked next
         hide_parameters=True,  # which may be secrets, and would stand in the log with an error
         connect_args={"timeout": BUSY_TIMEOUT_MS / 1000, "check_same_thread": False},
     )

@@ -9,7 +9,7 @@ from sqlalchemy import ColumnElement, Select, bindparam, func, select
 
 from trueup_service.registry import tables as t
 from trueup_service.registry.records import Approval, DecisionRecord
-from trueup_service.registry.repository import Repository
+from trueup_service.registry.repository import Repository, TableGateway
 
 
 def _on_episodes(condition: ColumnElement[bool]) -> Select[Any]:
@@ -21,9 +21,26 @@ def _on_episodes(condition: ColumnElement[bool]) -> Select[Any]:
     return select(t.decisions).where(t.decisions.c.job.in_(reads), condition)
 
 
+def _on_candidates(condition: ColumnElement[bool]) -> Select[Any]:
+    """Decisions of a plant, `of_plant`, on any of some `candidates`."""
+    of = t.decisions.c
+    return select(t.decisions).where(
+        of.plant == bindparam("of_plant"),
+        of.candidate.in_(bindparam("candidates", expanding=True)),
+        condition,
+    )
+
+
 _IS_REJECTED = t.decisions.c.accepted.is_(False)
+_REJECTED_CANDIDATES = _on_candidates(_IS_REJECTED)
 _REJECTED_ON_EPISODES = _on_episodes(_IS_REJECTED)
-_DECISION = select(t.decisions).where(t.decisions.c.digest == bindparam("digest"))
+_APPROVALS = (
+    select(t.approvals)
+    .where(
+        t.approvals.c.plant == bindparam("plant"), t.approvals.c.decision == bindparam("decision")
+    )
+    .order_by(t.approvals.c.at, t.approvals.c.token)
+)
 
 
 class Decisions(Repository[DecisionRecord]):
@@ -31,9 +48,16 @@ class Decisions(Repository[DecisionRecord]):
 
     table, record = t.decisions, DecisionRecord
 
+    def __init__(self, gateway: TableGateway) -> None:
+        super().__init__(gateway)
+        self._read: dict[str, DecisionRecord] = {}  # which never changes
+
     def get(self, digest: str) -> DecisionRecord | None:
         """A decision of any plant by its digest."""
-        return self._one(_DECISION, digest=digest)
+        decision = self._read.get(digest) or self._by(digest=digest)
+        if decision is not None:
+            self._read[digest] = decision
+        return decision
 
     def page(self, plant: str, before: str, limit: int) -> list[DecisionRecord]:
         """Decisions made before a time, the newest first."""
@@ -52,27 +76,27 @@ class Decisions(Repository[DecisionRecord]):
             t.plants.c.project.is_(None) if project is None else t.plants.c.project == project
         )
         of_plants = t.decisions.c.plant.in_(of_project)
-        return self._concerning([candidate], plant, episodes, of_plants, _on_episodes(of_plants))
+        on_candidate, on_episodes = _on_candidates(of_plants), _on_episodes(of_plants)
+        return self._concerning([candidate], plant, episodes, on_candidate, on_episodes)
 
     def rejections_of(
         self, plant: str, candidates: Sequence[str], episodes: Sequence[str]
     ) -> list[DecisionRecord]:
         """Rejections of some candidates, and those of all plants of all projects on any of these
         episodes, in the order in which they were made."""
-        return self._concerning(candidates, plant, episodes, _IS_REJECTED, _REJECTED_ON_EPISODES)
+        queries = _REJECTED_CANDIDATES, _REJECTED_ON_EPISODES
+        return self._concerning(candidates, plant, episodes, *queries)
 
     def _concerning(
         self,
         candidates: Sequence[str],
         plant: str,
         episodes: Sequence[str],
-        condition: ColumnElement[bool],
+        on_candidates: Select[Any],
         on_episodes: Select[Any],
     ) -> list[DecisionRecord]:
-        on_candidates = select(t.decisions).where(
-            t.decisions.c.plant == plant, t.decisions.c.candidate.in_(candidates), condition
-        )
-        decisions = self._all(on_candidates)
+        of_plant = {"of_plant": plant, "candidates": list(candidates)}
+        decisions = self._all(on_candidates, of_plant)
         decisions += map(self._record, self._gateway.in_parts(on_episodes, "digests", episodes))
         by_digest = {decision.digest: decision for decision in decisions}
         return sorted(by_digest.values(), key=lambda d: (d.created_at, d.digest))
@@ -104,6 +128,4 @@ class Approvals(Repository[Approval]):
 
     def of_decision(self, plant: str, decision: str) -> list[Approval]:
         """The approvals of a decision, in the order of their time."""
-        of = t.approvals.c
-        query = select(t.approvals).where(of.plant == plant, of.decision == decision)
-        return self._all(query.order_by(of.at, of.token))
+        return self._all(_APPROVALS, {"plant": plant, "decision": decision})

@@ -20,9 +20,7 @@ class Episodes(Repository[EpisodeRecord]):
 
     def get(self, plant: str, digest: str) -> EpisodeRecord | None:
         """An episode of a plant by the digest of its bytes."""
-        return self._one(
-            select(t.episodes).where(t.episodes.c.plant == plant, t.episodes.c.digest == digest)
-        )
+        return self._by(plant=plant, digest=digest)
 
     def page(self, plant: str, role: str | None, after: str, limit: int) -> list[EpisodeRecord]:
         """Episodes in the order of their digests from behind one, of one role or of all."""

@@ -21,9 +21,7 @@ class Gates(Repository[GateRecord]):
 
     def get(self, plant: str, digest: str) -> GateRecord | None:
         """A gate of a plant by its digest."""
-        return self._one(
-            select(t.gates).where(t.gates.c.plant == plant, t.gates.c.digest == digest)
-        )
+        return self._by(plant=plant, digest=digest)
 
     def page(self, plant: str, after: str, limit: int) -> list[GateRecord]:
         """Gates in the order of their digests from behind one."""
@@ -44,8 +42,7 @@ class Policies(Repository[PolicyRecord]):
 
     def in_force(self, plant: str) -> PolicyRecord | None:
         """The policy of a plant that is in force."""
-        query = select(t.policies).where(t.policies.c.plant == plant)
-        return self._one(query.order_by(t.policies.c.sequence.desc()).limit(1))
+        return self._last("sequence", plant=plant)
 
     def page(self, plant: str, after: int, limit: int) -> list[PolicyRecord]:
         """Every policy that a plant has had, in order, from behind one."""

@@ -25,7 +25,7 @@ class Jobs(Repository[JobRecord]):
 
     def get(self, job: str) -> JobRecord | None:
         """A job by its id."""
-        return self._one(select(t.jobs).where(t.jobs.c.id == job))
+        return self._by(id=job)
 
     def page(self, plant: str, before: str, limit: int) -> list[JobRecord]:
         """Jobs created before a time, the newest first."""
@@ -44,8 +44,7 @@ class Jobs(Repository[JobRecord]):
 
     def last(self, plant: str, kind: str) -> JobRecord | None:
         """The newest job of a kind."""
-        query = select(t.jobs).where(t.jobs.c.plant == plant, t.jobs.c.kind == kind)
-        return self._one(query.order_by(t.jobs.c.created_at.desc()).limit(1))
+        return self._last("created_at", plant=plant, kind=kind)
 
     def last_matching(
         self, plant: str, kind: str, matches: Callable[[Mapping[str, Any]], bool]
@@ -171,7 +170,7 @@ class Outputs(Repository[OutputRecord]):
 
     def get(self, job: str, name: str) -> OutputRecord | None:
         """A file of a job by its name."""
-        return self._one(select(t.outputs).where(t.outputs.c.job == job, t.outputs.c.name == name))
+        return self._by(job=job, name=name)
 
     def of_job(self, job: str) -> list[OutputRecord]:
         """The files of a job by name."""

@@ -27,9 +27,7 @@ class Monitors(Repository[MonitorRecord]):
 
     def get(self, plant: str, digest: str) -> MonitorRecord | None:
         """A monitor of a plant by its digest."""
-        return self._one(
-            select(t.monitors).where(t.monitors.c.plant == plant, t.monitors.c.digest == digest)
-        )
+        return self._by(plant=plant, digest=digest)
 
     def page(self, plant: str, before: str, limit: int) -> list[MonitorRecord]:
         """Monitors made before a time, the newest first."""
@@ -104,7 +102,7 @@ class Alarms(Repository[AlarmRecord]):
 
     def get(self, alarm: str) -> AlarmRecord | None:
         """An alarm of any plant by its id."""
-        return self._one(select(t.alarms).where(t.alarms.c.id == alarm))
+        return self._by(id=alarm)
 
     def page(self, plant: str, before: str, limit: int) -> list[AlarmRecord]:
         """Alarms raised before a time, the newest first."""

@@ -8,7 +8,6 @@ from trueup_service.registry import tables as t
 from trueup_service.registry.records import PlantRecord, ProjectRecord
 from trueup_service.registry.repository import Repository
 
-_PLANT = select(t.plants).where(t.plants.c.name == bindparam("plant"))
 _DIGEST = select(t.plants.c.digest).where(t.plants.c.name == bindparam("plant"))
 _LOCK = select(t.plants.c.name).where(t.plants.c.name == bindparam("plant")).with_for_update()
 
@@ -20,7 +19,7 @@ class Plants(Repository[PlantRecord]):
 
     def get(self, name: str) -> PlantRecord | None:
         """A plant by its name."""
-        return self._one(_PLANT, plant=name)
+        return self._by(name=name)
 
     def digest(self, name: str) -> str | None:
         """The digest of a plant's description, read without the description."""
@@ -53,7 +52,7 @@ class Projects(Repository[ProjectRecord]):
 
     def get(self, name: str) -> ProjectRecord | None:
         """A project by its name."""
-        return self._one(select(t.projects).where(t.projects.c.name == name))
+        return self._by(name=name)
 
     def page(self, after: str, limit: int) -> list[ProjectRecord]:
         """Projects by name from behind one."""

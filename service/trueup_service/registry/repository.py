@@ -8,9 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
+from functools import cache
+from types import MappingProxyType
 from typing import Any, Generic, TypeVar
 
-from sqlalchemy import ColumnElement, Connection, Select, Table, Update, insert, select, update
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Select,
+    Table,
+    Update,
+    bindparam,
+    insert,
+    select,
+    update,
+)
 from sqlalchemy.engine import RowMapping
 
 from trueup.ledger.rows import KEYS, row_digest, row_name
@@ -29,6 +41,18 @@ IN_CLAUSE = 500  # values that one statement names
 _INSERT = {name: insert(table) for name, table in t.metadata.tables.items()}
 
 
+@cache
+def _row_by(table: str, columns: tuple[str, ...]) -> Select[Any]:
+    selected = t.metadata.tables[table]
+    return select(selected).where(*(selected.c[name] == bindparam(name) for name in columns))
+
+
+@cache
+def _last_by(table: str, columns: tuple[str, ...], order: str) -> Select[Any]:
+    last_first = t.metadata.tables[table].c[order].desc()
+    return _row_by(table, columns).order_by(last_first).limit(1)
+
+
 class TableGateway:
     """Reads and writes the rows of any table inside one transaction, and notes the written rows
     that no entry of the log names yet."""
@@ -45,9 +69,15 @@ class TableGateway:
         row = self.connection.execute(query, values).mappings().first()
         return None if row is None else record_from_row(kind, table, row)
 
-    def all(self, kind: type[R], table: Table, query: Select[Any]) -> list[R]:
+    def all(
+        self,
+        kind: type[R],
+        table: Table,
+        query: Select[Any],
+        values: Mapping[str, Any] = MappingProxyType({}),
+    ) -> list[R]:
         """Every row of a query as a record."""
-        rows = self.connection.execute(query).mappings()
+        rows = self.connection.execute(query, values).mappings()
         return [record_from_row(kind, table, row) for row in rows]
 
     def in_parts(self, query: Select[Any], name: str, values: Sequence[str]) -> Iterator[Any]:
@@ -79,9 +109,14 @@ class TableGateway:
 
     def update(self, statement: Update, *where: ColumnElement[bool], **values: Any) -> bool:
         """Change the one row that the conditions name, and say whether there was one."""
+        return self.run_update(statement.where(*where).values(values), {})
+
+    def run_update(self, statement: Update, parameters: Mapping[str, Any]) -> bool:
+        """Change the one row that a statement built before names, and say whether there was
+        one."""
         if not self._writable:
             raise TypeError("this transaction only reads")
-        return self.connection.execute(statement.where(*where).values(values)).rowcount == 1
+        return self.connection.execute(statement, parameters).rowcount == 1
 
     def note_changed(self, table: Table, *where: ColumnElement[bool]) -> None:
         """Read a row that was changed, and note it for the log."""
@@ -127,11 +162,20 @@ class Repository(Generic[R]):
             self._gateway.note_changed(self.table, of)
         return ended
 
+    def _by(self, **values: Any) -> R | None:
+        """The record with these values in its columns, which name it."""
+        return self._one(_row_by(self.table.name, tuple(values)), **values)
+
+    def _last(self, order: str, **values: Any) -> R | None:
+        """Of the records with these values in their columns the last one in the order of
+        another."""
+        return self._one(_last_by(self.table.name, tuple(values), order), **values)
+
     def _one(self, query: Select[Any], **values: Any) -> R | None:
         return self._gateway.one(self.record, self.table, query, values)
 
-    def _all(self, query: Select[Any]) -> list[R]:
-        return self._gateway.all(self.record, self.table, query)
+    def _all(self, query: Select[Any], values: Mapping[str, Any] = MappingProxyType({})) -> list[R]:
+        return self._gateway.all(self.record, self.table, query, values)
 
     def _record(self, row: Any) -> R:
         return record_from_row(self.record, self.table, row._mapping)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
+import orjson
 from sqlalchemy import BigInteger, Column, LargeBinary, RowMapping, Table
 
 from trueup.canonical import Json, canonical_bytes
@@ -26,7 +26,7 @@ def record_from_row(kind: type[R], table: Table, row: RowMapping) -> R:
     documents = DOCUMENT_COLUMNS[table.name]
     return kind(
         **{
-            name: json.loads(value) if name in documents and value is not None else value
+            name: orjson.loads(value) if name in documents and value is not None else value
             for name, value in row.items()
         }
     )

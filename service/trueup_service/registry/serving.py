@@ -17,6 +17,11 @@ _NOW = (
     )
     .where(t.serving.c.plant == bindparam("plant"))
 )
+_SWAP = (
+    update(t.serving)
+    .where(t.serving.c.plant == bindparam("of"), t.serving.c.generation == bindparam("from"))
+    .values(generation=bindparam("to"))
+)
 
 
 class Serving(Repository[Move]):
@@ -30,9 +35,7 @@ class Serving(Repository[Move]):
 
     def at_generation(self, plant: str, generation: int) -> Move | None:
         """Where the pointer stood at a generation."""
-        return self._one(
-            select(t.moves).where(t.moves.c.plant == plant, t.moves.c.generation == generation)
-        )
+        return self._by(plant=plant, generation=generation)
 
     def at_time(self, plant: str, at: str) -> Move | None:
         """Where the pointer stood at a time, None before the plant was registered."""
@@ -58,13 +61,8 @@ class Serving(Repository[Move]):
     def move(self, move: Move) -> None:
         """Compare and swap: move the pointer if it stands one generation before. Raises
         PointerMoved."""
-        swapped = self._gateway.update(
-            update(t.serving),
-            t.serving.c.plant == move.plant,
-            t.serving.c.generation == move.generation - 1,
-            generation=move.generation,
-        )
-        if not swapped:
+        to = {"of": move.plant, "from": move.generation - 1, "to": move.generation}
+        if not self._gateway.run_update(_SWAP, to):
             raise PointerMoved(
                 f"another move took generation {move.generation}", expected=move.generation - 1
             )

@@ -1,8 +1,7 @@
 """The tables of the registry. The migrations together make exactly these; a test compares them.
 
-Times are text: UTC, ISO 8601 with microseconds, so that the order of the text is the order of time.
-Documents are text too: canonical JSON.
-"""
+Times are text that orders as time does: UTC, ISO 8601 with microseconds. Documents are text too:
+canonical JSON."""
 
 from __future__ import annotations
 
@@ -175,7 +174,8 @@ decisions = Table(
     *created(),
     ForeignKeyConstraint(["plant", "gate"], ["gates.plant", "gates.digest"]),
     Index(None, "plant", "created_at"),
-    Index(None, "plant", "candidate"),
+    Index(None, "plant", "candidate", "accepted"),
+    Index(None, "job"),
 )
 
 serving = Table(

@@ -16,7 +16,7 @@ class Tokens(Repository[TokenRecord]):
 
     def get(self, prefix: str) -> TokenRecord | None:
         """A token by its public prefix, revoked or not."""
-        return self._one(select(t.tokens).where(t.tokens.c.prefix == prefix))
+        return self._by(prefix=prefix)
 
     def page(self, after: str, limit: int) -> list[TokenRecord]:
         """Tokens by prefix from behind one."""

@@ -21,7 +21,7 @@ class Webhooks(Repository[WebhookRecord]):
 
     def get(self, name: str) -> WebhookRecord | None:
         """A webhook by its name, removed or not."""
-        return self._one(select(t.webhooks).where(t.webhooks.c.name == name))
+        return self._by(name=name)
 
     def page(self, after: str, limit: int) -> list[WebhookRecord]:
         """Webhooks by name from behind one."""

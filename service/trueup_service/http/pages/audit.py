@@ -21,7 +21,7 @@ from trueup_service.registry.transaction import reading
 from trueup_service.signed_log import SignedLog, root_at
 from trueup_service.wiring import Parts
 
-router = guarded("", ["pages"])
+router = guarded("", ["pages"], documented=False)
 LINES = 100
 NO_END = 2**62
 

@@ -20,7 +20,7 @@ from trueup_service.registry.records import FINAL, ArtifactRecord, JobRecord
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
-router = guarded("", ["pages"])
+router = guarded("", ["pages"], documented=False)
 COMPARISON = "comparison.json"
 Version = Annotated[int, Query(ge=1, le=2**31 - 1)]
 LISTED = 200  # versions to choose from, the newest

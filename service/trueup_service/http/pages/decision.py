@@ -19,7 +19,7 @@ from trueup_service.http.pages.page import begin_job, go, show
 from trueup_service.registry.records import FINAL, DecisionRecord, GateRecord
 from trueup_service.registry.transaction import ReadTransaction, reading
 
-router = guarded("", ["pages"])
+router = guarded("", ["pages"], documented=False)
 
 
 @router.get("/plants/{plant}/decisions/{digest}")

@@ -17,7 +17,7 @@ from trueup_service.registry.records import JobRecord
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
-router = guarded("", ["pages"])
+router = guarded("", ["pages"], documented=False)
 FIGURES, COMMAND = "figures.json", "next_experiment.csv"
 
 

@@ -16,7 +16,7 @@ from trueup_service.http.pages.compare import comparison
 from trueup_service.http.pages.page import begin_job, go, show
 from trueup_service.registry.transaction import ReadTransaction, reading
 
-router = guarded("", ["pages"])
+router = guarded("", ["pages"], documented=False)
 DECLARED = 1  # the version that every plant begins with
 Version = Annotated[int, Query(ge=1, le=2**31 - 1)]
 

@@ -15,7 +15,7 @@ from trueup_service.http.pages.page import own_path, show, wants_page
 from trueup_service.http.problems import status_of
 from trueup_service.http.sessions import begin_session_of_person, give_cookie
 
-router = guarded("", ["pages"])
+router = guarded("", ["pages"], documented=False)
 
 
 @router.get(PATH)

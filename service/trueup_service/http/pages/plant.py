@@ -25,7 +25,7 @@ from trueup_service.registry.overview import gaps_of
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
-router = guarded("", ["pages"])
+router = guarded("", ["pages"], documented=False)
 ENTRIES, ROWS = 300, 10
 NO_END = 2**62
 NOT_A_NUMBER = -1

@@ -12,7 +12,7 @@ from trueup_service.http.pages.page import show
 from trueup_service.registry.overview import plant_lines
 from trueup_service.registry.transaction import reading
 
-router = guarded("", ["pages"])
+router = guarded("", ["pages"], documented=False)
 LINES = 50
 
 

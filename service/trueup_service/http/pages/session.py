@@ -13,7 +13,7 @@ from trueup_service.http.pages.page import form, go, own_path, show
 from trueup_service.http.problems import status_of
 from trueup_service.http.sessions import begin_session, end_session, forget_cookie, give_cookie
 
-router = guarded("", ["pages"])
+router = guarded("", ["pages"], documented=False)
 FOR_EVER = {"Cache-Control": "public, max-age=31536000, immutable"}
 
 

@@ -26,7 +26,7 @@ from trueup_service.registry.records import JobRecord
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
-router = guarded("", ["pages"])
+router = guarded("", ["pages"], documented=False)
 REPORT = "report.json"
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from fastapi import Query, Request, Response
 from fastapi.concurrency import contextmanager_in_threadpool
@@ -23,9 +23,10 @@ from trueup_service.http.dependencies import (
     PlantName,
     RequestContext,
     RequestParts,
-    create,
+    create_async,
     inspector_of,
 )
+from trueup_service.http.direct import direct
 from trueup_service.http.downloads import UNCHANGING, send_blob
 from trueup_service.http.guard import guarded
 from trueup_service.http.openapi import already_exists
@@ -36,7 +37,11 @@ from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
+if TYPE_CHECKING:
+    from trueup.artifact.artifact import Artifact as Bytes
+
 router = guarded("/v1", ["artifacts"])
+SMALL_BYTES = 1 << 16  # of a manifest that is read at once
 MANIFEST = {
     "requestBody": {
         "required": True,
@@ -88,7 +93,9 @@ def _blob(blobs: Blobs, digest: str) -> StreamingResponse:
     return send_blob(blobs, digest)
 
 
-@router.post(
+@direct(
+    router,
+    "POST",
     "/plants/{plant}/artifacts",
     status_code=201,
     response_model=Artifact,
@@ -106,27 +113,34 @@ async def add(
     """The body is the exact bytes of the manifest. Arrays that it names must have been uploaded
     before. The predictor must load and answer its probe."""
     manifest = await request.body()
-    arrays = await run_in_threadpool(_arrays, parts, manifest)
-    if arrays is None:
+    if len(manifest) > SMALL_BYTES:
+        artifact = await run_in_threadpool(_read, manifest)
+    else:
+        artifact = _read(manifest)
+    if artifact.document.get("arrays") is None:
         await inspector_of(request).try_artifact(manifest, None)
-        return await run_in_threadpool(_add, parts, context, plant, manifest, key)
+        return await _add(parts, context, plant, artifact, key)
+    arrays = await run_in_threadpool(_arrays, parts, artifact)
     async with contextmanager_in_threadpool(parts.blobs.local_copy(arrays, parts.spool)) as path:
         await inspector_of(request).try_artifact(manifest, path)
-        answer = await run_in_threadpool(_add, parts, context, plant, manifest, key)
+        answer = await _add(parts, context, plant, artifact, key)
         # Bytes that were put long ago may have been collected before this row named them.
         await run_in_threadpool(parts.blobs.put, arrays, path)
         return answer
 
 
-def _arrays(parts: Parts, manifest: bytes) -> str | None:
-    """The digest of the arrays that a manifest names, which must have been uploaded before. Raises
-    BadArtifact, TooLargeUpload."""
-    from trueup.artifact.artifact import read_manifest  # noqa: PLC0415  (numpy: a server that only serves needs none)
+def _read(manifest: bytes) -> Bytes:
+    """An artifact without its arrays. Raises BadArtifact."""
+    from trueup.artifact.artifact import Artifact as Bytes  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
-    named = read_manifest(manifest).get("arrays")
+    return Bytes.of(manifest, lambda _: b"")
+
+
+def _arrays(parts: Parts, artifact: Bytes) -> str:
+    """The digest of the arrays that an artifact names, which must have been uploaded before. Raises
+    BadArtifact, TooLargeUpload."""
+    named = artifact.document.get("arrays")
     digest = named.get("sha256") if isinstance(named, dict) else None
-    if digest is None:
-        return None
     if not isinstance(digest, str) or not is_digest(digest) or not parts.blobs.holds(digest):
         raise BadArtifact(
             "the arrays that the manifest names are not here",
@@ -137,15 +151,13 @@ def _arrays(parts: Parts, manifest: bytes) -> str | None:
     return digest
 
 
-def _add(
-    parts: Parts, context: ActorContext, plant: str, manifest: bytes, key: str | None
+async def _add(
+    parts: Parts, context: ActorContext, plant: str, artifact: Bytes, key: str | None
 ) -> Response:
-    from trueup.artifact.artifact import Artifact as Bytes  # noqa: PLC0415
     from trueup_service.actions.add_artifact import add_artifact  # noqa: PLC0415
 
-    artifact = Bytes(manifest, b"")
-    request = {"digest": artifact.digest}
-    return create(
+    request: Json = {"digest": artifact.digest}
+    return await create_async(
         parts,
         context,
         f"artifacts/{plant}",

@@ -21,7 +21,8 @@ from trueup_service.http.dependencies import (
     RequestParts,
     create,
 )
-from trueup_service.http.guard import guarded, polled_route
+from trueup_service.http.direct import direct
+from trueup_service.http.guard import guarded
 from trueup_service.http.openapi import already_exists
 from trueup_service.http.polling import ASKED, PLANT, UNCHANGED, polled
 from trueup_service.http.schemas.serving import (
@@ -137,8 +138,9 @@ def list_channels(
     return page(Channel, channels, limit, "name")
 
 
-@polled_route(
+@direct(
     router,
+    "GET",
     "/channels/{channel}/serving",
     summary="What a channel serves now",
     response_model=ChannelPosition,

@@ -20,7 +20,8 @@ from trueup_service.http.dependencies import (
     RequestContext,
     RequestParts,
 )
-from trueup_service.http.guard import guarded, polled_route
+from trueup_service.http.direct import direct
+from trueup_service.http.guard import guarded
 from trueup_service.http.polling import ASKED, PLANT, UNCHANGED, polled
 from trueup_service.http.schemas.serving import Promotion, Rollback, Serving
 from trueup_service.http.schemas.wire import Envelope, Page
@@ -38,8 +39,9 @@ AtTime = Annotated[
 ]
 
 
-@polled_route(
+@direct(
     router,
+    "GET",
     "",
     summary="What is serving now",
     response_model=Serving,
@@ -116,7 +118,7 @@ def _padded(at: str) -> str:
     return f"{whole}.{fraction:<06}Z"
 
 
-@router.post("/promote", summary="Serve an accepted candidate")
+@direct(router, "POST", "/promote", summary="Serve an accepted candidate", response_model=Serving)
 async def promote(
     request: Request,
     parts: RequestParts,
@@ -124,14 +126,14 @@ async def promote(
     plant: PlantName,
     wanted: Promotion,
     key: IdempotencyKey = None,
-) -> Serving:
+) -> Response:
     """Compare and swap: 409 if the pointer is at another generation, the decision was judged at
     another one, or approvals are missing."""
-    moved = await run_in_threadpool(
-        promotion.promote, parts, context, plant, wanted.decision, wanted.expected_generation, key
+    moved = await promotion.promote(
+        parts, context, plant, wanted.decision, wanted.expected_generation, key
     )
     request.app.state.answers.wake()
-    return Serving(**moved)
+    return Response(Serving(**moved).model_dump_json(), media_type="application/json")
 
 
 @router.post("/rollback", summary="Serve what served before")

@@ -1,0 +1,152 @@
+"""Actions that write, each as if in a transaction of its own.
+
+SQLite has one writer at a time, and a commit takes it as long as a small change does. So one thread
+of the process runs them, and those that wait when it begins share a transaction, a commit and a
+sync to disk, each behind a savepoint: one that fails takes back what it wrote and nothing else, and
+none is answered before the commit. One thread also spares the many the wait for each other at every
+statement. PostgreSQL has many writers and groups their commits itself: there an action runs in its
+caller's thread.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import queue
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextvars import Context, copy_context
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from sqlalchemy import Connection
+
+from trueup_service.registry.database import Database
+from trueup_service.registry.transaction import Transaction, writing
+
+R = TypeVar("R")
+LONGEST_S = 0.01  # for which others may join a transaction [s]
+
+
+class Writer:
+    """Runs actions on one database."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self._waiting: queue.SimpleQueue[_Action | None] = queue.SimpleQueue()
+        self._thread: threading.Thread | None = None
+        self._connection: Connection | None = None
+        self._starting = threading.Lock()
+
+    def run(self, act: Callable[[Transaction], R]) -> R:
+        """Returns what the action returns, once that is durable. Raises what it raises, SQLAlchemy
+        errors where it could not be committed, and BrokenChain where the log does not tell of all
+        that it wrote."""
+        if not self._database.is_sqlite:
+            with writing(self._database) as tx:
+                return act(tx)
+        return self._submit(act).result()
+
+    async def run_async(self, act: Callable[[Transaction], R]) -> R:
+        """The same from the event loop, which goes on meanwhile."""
+        if not self._database.is_sqlite:
+            return await asyncio.to_thread(self.run, act)
+        return await asyncio.wrap_future(self._submit(act))
+
+    def close(self) -> None:
+        """Ends the thread, once all that waits is done."""
+        if self._thread is not None:
+            self._waiting.put(None)
+            self._thread.join()
+            self._thread = None
+
+    def _submit(self, act: Callable[[Transaction], R]) -> Future[R]:
+        action = _Action(act, copy_context())
+        if self._thread is None:
+            self._start()
+        self._waiting.put(action)
+        return action.done
+
+    def _start(self) -> None:
+        with self._starting:
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._serve, name="writer", daemon=True)
+                self._thread.start()
+
+    def _serve(self) -> None:
+        following = True
+        while following and (action := self._waiting.get()) is not None:
+            following = self._commit_with_others(action)
+        self._disconnect()
+
+    def _connected(self) -> Connection:
+        if self._connection is None:
+            self._connection = self._database.connect_to_write()
+        return self._connection
+
+    def _disconnect(self) -> None:
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+    def _commit_with_others(self, action: _Action) -> bool:
+        """Runs an action and those that wait in one transaction. Returns False where the last of
+        them is told to end."""
+        ran: list[_Action] = []
+        until, following = time.monotonic() + LONGEST_S, True
+        try:
+            connection = self._connected()
+            with self._database.write_on(connection):
+                more: _Action | None = action
+                while more is not None:
+                    ran.append(more)
+                    more.run(connection)
+                    more = None
+                    if time.monotonic() < until and not self._waiting.empty():
+                        more = self._waiting.get()
+                        following = more is not None
+        except BaseException as error:  # noqa: BLE001  (it is raised where it is waited for)
+            self._disconnect()
+            for one in ran or [action]:
+                one.fail(error)
+        else:
+            for one in ran:
+                one.succeed()
+        return following
+
+
+@dataclass(slots=True)
+class _Action:
+    act: Callable[[Transaction], Any]
+    context: Context
+    done: Future[Any] = field(default_factory=Future)
+    returned: Any = None
+    raised: BaseException | None = None
+
+    def run(self, connection: Connection) -> None:
+        """Runs it behind a savepoint. Raises what SQLite gives up a whole transaction at."""
+        execute = connection.exec_driver_sql
+        execute("SAVEPOINT action")
+        try:
+            transaction = Transaction(connection)
+            self.returned = self.context.run(self.act, transaction)
+            transaction.require_logged()
+        except BaseException as error:  # noqa: BLE001  (it is raised where it is waited for)
+            self.raised = error
+            try:
+                execute("ROLLBACK TO action")
+            except Exception:  # noqa: BLE001  (there is no such savepoint any more)
+                raise error from None
+        execute("RELEASE action")
+
+    def succeed(self) -> None:
+        """Hands over what the action returned or raised."""
+        if self.raised is None:
+            self.done.set_result(self.returned)
+        else:
+            self.done.set_exception(self.raised)
+
+    def fail(self, error: BaseException) -> None:
+        """Hands over what the transaction failed at."""
+        self.done.set_exception(self.raised or error)
