@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import tempfile
 import time
@@ -11,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.generator import Load, get, run, send
-from bench.report import Figure, show
+from bench.report import LOOP_S, Figure, loop_s, show
 from bench.servers import Peer, call, ours, peer
 from tests.support.made import episode_bytes, plant_document
 from trueup.artifact.artifact import pack
@@ -31,7 +32,7 @@ from trueup_service.settings import Settings
 from trueup_service.wiring import build
 
 CONNECTIONS, SECONDS, ROUNDS = 16, 3.0, 3
-VERSIONS, MOVES = 9000, 120
+VERSIONS, MOVES = 12_000, 150
 MANY, FEW, PAIRS = 100_000, 10, 11
 CONTEXT = ActorContext("bench", "2026-01-01T00:00:00.000000Z")
 
@@ -42,43 +43,44 @@ def main() -> None:
         ours(Path(folder) / "ours") as (port, _, _),
         peer(Path(folder) / "peer") as other,
     ):
-        created, peer_created = _create(port, other)
-        promoted, aliased = _promote(port, Path(folder) / "ours", other)
+        created, peer_created, loops = _create(port, other)
+        promoted, aliased, more_loops = _promote(port, Path(folder) / "ours", other)
         many = _resolve(port, Path(folder) / "ours")
-    for name, load in (
+    for name, loads in (
         ("create", created),
         ("peer creates", peer_created),
         ("promote", promoted),
         ("peer sets alias", aliased),
     ):
-        print(f"{name:>16}: {load.line()}")
-    ratio = created.rate / peer_created.rate
+        for load in loads:
+            print(f"{name:>16}: {load.line()}")
+    rate = _median([load.rate * s / LOOP_S for load, s in zip(created, loops, strict=True)])
+    create_p99, move_p99 = (
+        _median([x.quantile_ms(0.99) * LOOP_S / s for x, s in zip(loads, at, strict=True)])
+        for loads, at in ((created, loops), (promoted, more_loops))
+    )
+    ratio, moves = (
+        _median([x.rate / y.rate for x, y in zip(a, b, strict=True)])
+        for a, b in ((created, peer_created), (promoted, aliased))
+    )
     show(
         (
             "registry: one server process, embedded storage, 16 connections, interleaved with "
-            "the peer (one worker)"
+            f"the peer (one worker), median of {ROUNDS} rounds, rates and times at the speed where "
+            f"a Python loop of ten million turns takes {LOOP_S} s"
         ),
         [
+            Figure("the loop took, median", f"{_median(loops + more_loops):.2f} s"),
             Figure(
                 "durable version creation with its audit entry",
-                f"{created.rate:.0f} req/s",
+                f"{rate:.0f} req/s",
                 ">= 500 req/s",
-                created.rate >= 500,
+                rate >= 500,
             ),
-            Figure("… beside the peer's", f"{ratio:.1f} x", ">= 5 x", ratio >= 5),
-            Figure(
-                "… p99",
-                f"{created.quantile_ms(0.99):.1f} ms",
-                "<= 60 ms",
-                created.quantile_ms(0.99) <= 60,
-            ),
-            Figure(
-                "promotion p99",
-                f"{promoted.quantile_ms(0.99):.1f} ms",
-                "<= 60 ms",
-                promoted.quantile_ms(0.99) <= 60,
-            ),
-            Figure("promotion beside the peer's alias", f"{promoted.rate / aliased.rate:.1f} x"),
+            Figure("… beside the peer's", f"{ratio:.1f} x", ">= 15 x", ratio >= 15),
+            Figure("… p99", f"{create_p99:.1f} ms", "<= 60 ms", create_p99 <= 60),
+            Figure("promotion p99", f"{move_p99:.1f} ms", "<= 60 ms", move_p99 <= 60),
+            Figure("promotion beside the peer's alias", f"{moves:.1f} x", ">= 20 x", moves >= 20),
             Figure(
                 f"resolve at {MANY} versions beside at {FEW}, median of {PAIRS} pairs",
                 f"{many:.3f} x",
@@ -89,7 +91,7 @@ def main() -> None:
     )
 
 
-def _create(port: int, other: Peer) -> tuple[Load, Load]:
+def _create(port: int, other: Peer) -> tuple[list[Load], list[Load], list[float]]:
     plant = Plant.from_document(plant_document("creating"))
     call(port, "POST", "/v1/plants", plant_document("creating"))
     with other.awake() as where:
@@ -100,24 +102,18 @@ def _create(port: int, other: Peer) -> tuple[Load, Load]:
             for i in range(VERSIONS)
         ]
     )
-    found: tuple[list[Load], list[Load]] = ([], [])
     body = json.dumps({"name": "creating", "source": "s3://bucket/m"}).encode()
+    created, peer_created, loops = [], [], []
     for _ in range(ROUNDS):
-        found[0].append(
-            run(
-                port,
-                [
-                    (send("POST", "/v1/plants/creating/artifacts", m) for m in manifests)
-                    for _ in range(CONNECTIONS)
-                ],
-                SECONDS,
-            )
-        )
-        assert set(found[0][-1].statuses) == {201}, found[0][-1].statuses
+        loops.append(loop_s())
+        path = "/v1/plants/creating/artifacts"
+        streams = [(send("POST", path, m) for m in manifests) for _ in range(CONNECTIONS)]
+        created.append(run(port, streams, SECONDS))
+        assert set(created[-1].statuses) == {201}, created[-1].statuses
         with other.awake() as where:
             create = send("POST", "/api/2.0/mlflow/model-versions/create", body)
-            found[1].append(run(where, [_again(create) for _ in range(CONNECTIONS)], SECONDS))
-    return _median(found[0]), _median(found[1])
+            peer_created.append(run(where, [_again(create) for _ in range(CONNECTIONS)], SECONDS))
+    return created, peer_created, loops
 
 
 def _again(request: bytes) -> Iterator[bytes]:
@@ -125,20 +121,24 @@ def _again(request: bytes) -> Iterator[bytes]:
         yield request
 
 
-def _median(loads: list[Load]) -> Load:
-    return sorted(loads, key=lambda load: load.rate)[len(loads) // 2]
+def _median(values: list[float]) -> float:
+    return float(np.median(values))
 
 
-def _promote(port: int, data: Path, other: Peer) -> tuple[Load, Load]:
+def _promote(port: int, data: Path, other: Peer) -> tuple[list[Load], list[Load], list[float]]:
     """Sixteen plants, each promoted again and again by decisions laid down before."""
-    requests = [_decisions(port, data, f"moving-{i}") for i in range(CONNECTIONS)]
+    requests = [iter(_decisions(port, data, f"moving-{i}")) for i in range(CONNECTIONS)]
     body = json.dumps({"name": "creating", "alias": "champion", "version": "1"}).encode()
-    with other.awake() as where:
-        alias = send("POST", "/api/2.0/mlflow/registered-models/alias", body)
-        aliased = run(where, [_again(alias) for _ in range(CONNECTIONS)], SECONDS)
-    promoted = run(port, [iter(r) for r in requests], 60.0)
-    assert promoted.statuses == {200: CONNECTIONS * MOVES}, promoted.statuses
-    return promoted, aliased
+    alias = send("POST", "/api/2.0/mlflow/registered-models/alias", body)
+    promoted, aliased, loops = [], [], []
+    for _ in range(ROUNDS):
+        loops.append(loop_s())
+        streams = [itertools.islice(moves, MOVES // ROUNDS) for moves in requests]
+        promoted.append(run(port, streams, 60.0))
+        assert set(promoted[-1].statuses) == {200}, promoted[-1].statuses
+        with other.awake() as where:
+            aliased.append(run(where, [_again(alias) for _ in range(CONNECTIONS)], SECONDS))
+    return promoted, aliased, loops
 
 
 def _decisions(port: int, data: Path, name: str) -> list[bytes]:

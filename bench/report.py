@@ -5,11 +5,14 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 RESULTS = Path(__file__).parent / "results"
+LOOP_TURNS = 10_000_000
+LOOP_S = 0.5  # at which speed the targets of single figures are meant
 MEASURED = Path(__file__).parent.parent / "docs" / "measured"
 
 
@@ -21,6 +24,14 @@ class Figure:
     value: str
     target: str = ""
     met: bool | None = None
+
+
+def loop_s() -> float:
+    """How long a Python loop of ten million turns takes: how fast the machine is just now [s]."""
+    began, i = time.perf_counter(), 0
+    while i < LOOP_TURNS:
+        i += 1
+    return time.perf_counter() - began
 
 
 def show(title: str, figures: list[Figure]) -> None:

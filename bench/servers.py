@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -46,17 +46,22 @@ def first_200(url: str, child: subprocess.Popen, limit_s: float = 90.0) -> None:
 
 @contextmanager
 def ours(
-    data: Path, worker: bool = False, **environment: str
+    data: Path,
+    worker: bool = False,
+    module: str = "trueup_cli.main",
+    arguments: Sequence[str] = (),
+    **environment: str,
 ) -> Iterator[tuple[int, subprocess.Popen, float]]:
     """Port, process and time to the first answer [s]."""
     port = free_port()
     command = [
         sys.executable,
         "-m",
-        "trueup_cli.main",
+        module,
         "serve",
         "--port",
         str(port),
+        *arguments,
         *([] if worker else ["--no-worker"]),
     ]
     began = time.perf_counter()

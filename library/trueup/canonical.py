@@ -33,8 +33,8 @@ _AS_CANONICAL = (
     | orjson.OPT_PASSTHROUGH_DATACLASS
     | orjson.OPT_PASSTHROUGH_DATETIME
 )
-_PERHAPS_EXPONENT = re.compile(rb"[0-9]e[-+0-9]")
-_TEXT_OR_EXPONENT = re.compile(rb'"(?:[^"\\]|\\.)*"|([0-9]e[-+0-9])')
+_EXPONENT = re.compile(rb"[0-9]e[-+0-9]")
+_TEXT = re.compile(rb'"(?:[^"\\]|\\.)*"')
 _WHOLE = re.compile(rb"[0-9]\.0(?![0-9])")
 _TEXT_OR_WHOLE = re.compile(rb'"(?:[^"\\]|\\.)*"|(-?[0-9]+)\.0(?![0-9])')
 _BEYOND_16_BITS = re.compile(rb"[\xf0-\xff]")
@@ -68,10 +68,7 @@ def _quickly(value: Json) -> bytes | None:
     except TypeError:
         return None
     if (
-        (
-            _PERHAPS_EXPONENT.search(written)
-            and any(match[1] for match in _TEXT_OR_EXPONENT.finditer(written))
-        )
+        (_EXPONENT.search(written) and _EXPONENT.search(_TEXT.sub(b"", written)))
         or (not written.isascii() and _BEYOND_16_BITS.search(written))
         or (b"null" in written and orjson.loads(written) != value)  # a NaN is no null
     ):

@@ -1,6 +1,8 @@
 """The way back is rehearsed when a candidate is accepted; a promotion relies on that only while it
 still says something."""
 
+import asyncio
+
 import pytest
 
 from tests.support.gates import LENIENT

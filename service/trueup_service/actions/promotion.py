@@ -176,13 +176,13 @@ def _recorded_rehearsal(
     blobs: Blobs, tx: ReadTransaction, plant: str, decision: str, limit_bytes: float
 ) -> dict[str, Json] | None:
     """The record of the way back that was made when the candidate of a decision was accepted, empty
-    where the decision cannot be promoted anyway. Raises NotFound.
+    where it was not. Raises NotFound.
 
     None unless this code made it, and the bytes of what to go back to, up to a limit, are still
     those that it names.
     """
-    made, serving = find.decision(tx, plant, decision), find.serving(tx, plant)
-    if not made.accepted or made.generation != serving.generation:
+    made = find.decision(tx, plant, decision)
+    if not made.accepted:
         return {}
     entry = tx.log.first_entry(decision, DECIDED)
     rehearsed: Any = {} if entry is None else entry.facts.get("rehearsed") or {}
@@ -194,8 +194,10 @@ def _recorded_rehearsal(
 
 def _rehearse(parts: Parts, context: ActorContext, plant: str, decision: str) -> dict[str, Json]:
     """The record of the way back from the candidate of a decision, rehearsed now where the recorded
-    one does not hold. Raises NotFound, SwitchbackFailed."""
+    one does not hold, empty where the pointer has moved on. Raises NotFound, SwitchbackFailed."""
     with reading(parts.database) as tx:
+        if find.decision(tx, plant, decision).generation != find.serving(tx, plant).generation:
+            return {}
         recorded = _recorded_rehearsal(parts.blobs, tx, plant, decision, math.inf)
         if recorded is not None:
             return recorded

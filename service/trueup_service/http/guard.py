@@ -13,6 +13,7 @@ from trueup_service.actions import find
 from trueup_service.authentication import Authenticator, Principal
 from trueup_service.errors import Forbidden, NotFound, Unauthenticated
 from trueup_service.http.access import ACCESS, Rule
+from trueup_service.http.headers import header
 from trueup_service.registry.database import Database
 from trueup_service.registry.transaction import reading
 
@@ -35,7 +36,7 @@ class Guarded(APIRoute):
 async def authorise(request: Request, path: str) -> None:
     """Authenticate the caller of a route and check what it may do, before a byte of the body is
     read. Raises Unauthenticated, Forbidden, NotFound."""
-    rule = ACCESS.get((request.method, path), NOBODY)
+    rule = ACCESS.get((request.scope["method"], path), NOBODY)
     if not rule.public:
         principal = request.scope["principal"] = await _authenticate(request)
         _require(principal, rule)
@@ -51,7 +52,7 @@ def guarded(prefix: str, tags: list[str], *, documented: bool = True) -> APIRout
 
 async def _authenticate(request: Request) -> Principal:
     authenticator: Authenticator = request.app.state.authenticator
-    kind, _, token = request.headers.get("authorization", "").partition(" ")
+    kind, _, token = header(request.scope, b"authorization").decode("latin-1").partition(" ")
     if kind.lower() == "bearer":
         principal = authenticator.remembered(token)
         return (
@@ -117,8 +118,10 @@ def _require(principal: Principal, rule: Rule) -> None:
 
 async def _require_plant(request: Request, principal: Principal) -> None:
     """Raises NotFound for a plant that the token does not see, as for one that does not exist."""
+    if principal.everywhere:
+        return
     plant = request.path_params.get("plant")
-    if plant is None or principal.everywhere:
+    if plant is None:
         return
     if not await run_in_threadpool(is_visible, request.app.state.parts.database, principal, plant):
         raise find.not_found("plant", plant)

@@ -8,6 +8,7 @@ from typing import Any
 from fastapi import Request, Response
 
 from trueup_service.errors import BadRequest
+from trueup_service.http.headers import header
 from trueup_service.http.serving_answers import ServingAnswers, matches
 
 UNCHANGED: dict[int | str, dict[str, Any]] = {
@@ -44,7 +45,7 @@ async def polled(request: Request, plant: str, channel: str | None = None) -> Re
     response.
     """
     answers: ServingAnswers = request.app.state.answers
-    tag = request.headers.get("if-none-match")
+    tag = header(request.scope, b"if-none-match").decode("latin-1")
     wait_s = (
         _wait_s(request, request.app.state.parts.settings.long_poll_limit_s)
         if request.scope["query_string"]
@@ -55,9 +56,7 @@ async def polled(request: Request, plant: str, channel: str | None = None) -> Re
         if tag and wait_s
         else await answers.now((plant, channel))
     )
-    if tag and matches(answer.etag, tag):
-        return Response(status_code=304, headers=answer.headers)
-    return Response(answer.body, media_type="application/json", headers=answer.headers)
+    return answer.unchanged if tag and matches(answer.etag, tag) else answer.whole
 
 
 def _wait_s(request: Request, limit_s: float) -> float:

@@ -17,6 +17,7 @@ from prometheus_client import Counter, Histogram
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from trueup_service import open_telemetry
+from trueup_service.http.headers import header
 
 log = logging.getLogger("trueup.access")
 REQUESTS = Counter("trueup_http_requests_total", "Requests answered", ["method", "route", "status"])
@@ -55,13 +56,13 @@ class RequestTelemetry:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        header = _header(scope, b"x-request-id")
-        name = header.decode() if PLAIN_ID.fullmatch(header) else next(self._ids)
+        given = header(scope, b"x-request-id")
+        name = given.decode() if PLAIN_ID.fullmatch(given) else next(self._ids)
         scope["request_id"] = name
         if not open_telemetry.is_on():
             await self._answered(scope, receive, send, name)
             return
-        trace = _header(scope, b"traceparent").decode("latin-1")
+        trace = header(scope, b"traceparent").decode("latin-1")
         if trace or scope["method"] != "GET":
             await self._traced(scope, receive, send, name, trace)
         else:
@@ -127,10 +128,6 @@ class RequestTelemetry:
                 "seconds": round(seconds, 6),
             }
             log.log(level, "request", extra=fields)
-
-
-def _header(scope: Scope, name: bytes) -> bytes:
-    return next((value for key, value in scope["headers"] if key == name), b"")
 
 
 def _route(scope: Scope) -> str:

@@ -11,9 +11,11 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import orjson
 from starlette.concurrency import run_in_threadpool
+from starlette.responses import Response
 
 from trueup_service.actions import find
 from trueup_service.actions.move_pointer import position_document
@@ -25,11 +27,20 @@ Asked = tuple[str, str | None]  # a plant, and one of its channels or None for i
 
 @dataclass(frozen=True, slots=True)
 class ServingAnswer:
-    """The body of a response, its entity tag, and its headers."""
+    """The response with what serves, the one that says that it is still that of the entity tag, and
+    the tag. They are made once, and given to everybody."""
 
     etag: str
-    body: bytes
-    headers: dict[str, str]
+    whole: Response
+    unchanged: Response
+
+    @staticmethod
+    def of(position: dict[str, Any], generation: int) -> ServingAnswer:
+        """The responses with a position of a pointer or channel."""
+        etag = f'"{generation}"'
+        headers = {"ETag": etag, "Cache-Control": "no-cache"}
+        whole = Response(orjson.dumps(position), media_type="application/json", headers=headers)
+        return ServingAnswer(etag, whole, Response(status_code=304, headers=headers))
 
 
 def matches(etag: str, asked: str) -> bool:
@@ -99,7 +110,4 @@ class ServingAnswers:
             else:
                 at = find.channel_move(tx, plant, channel)
                 position, generation = asdict(at), at.generation
-        etag = f'"{generation}"'
-        return ServingAnswer(
-            etag, orjson.dumps(position), {"ETag": etag, "Cache-Control": "no-cache"}
-        )
+        return ServingAnswer.of(position, generation)

@@ -41,6 +41,7 @@ class AuditLog:
     def __init__(self, gateway: TableGateway) -> None:
         self._gateway = gateway
         self._connection = gateway.connection
+        self._tree: Frontier | None = None  # since the transaction holds its head
 
     def append(
         self,
@@ -56,9 +57,11 @@ class AuditLog:
         It comes last in a transaction: it waits for every other writer of the log, and makes those
         that follow wait until the commit.
         """
-        head = self._connection.execute(_LOCK_HEAD).one()
+        if self._tree is None:
+            head = self._connection.execute(_LOCK_HEAD).one()
+            self._tree = Frontier.from_bytes(head.size, head.frontier)
         entry = AuditEntry(
-            sequence=head.size + 1,
+            sequence=self._tree.size + 1,
             at=context.now,
             kind=kind,
             actor=context.actor,
@@ -67,8 +70,8 @@ class AuditLog:
             facts=facts,
             rows=self._gateway.take_notes(),
         )
-        tree = self._add_leaf(Frontier.from_bytes(head.size, head.frontier), entry)
-        self._move_head(tree)
+        self._tree = self._add_leaf(self._tree, entry)
+        self._move_head(self._tree)
         return entry
 
     def restore(self, entries: Iterable[AuditEntry]) -> None:

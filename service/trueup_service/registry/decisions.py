@@ -12,28 +12,20 @@ from trueup_service.registry.records import Approval, DecisionRecord
 from trueup_service.registry.repository import Repository, TableGateway
 
 
-def _on_episodes(condition: ColumnElement[bool]) -> Select[Any]:
-    """Decisions on any of some episodes, `digests`."""
-    reads = select(t.job_reads.c.job).where(
-        t.job_reads.c.purpose == "gate",
-        t.job_reads.c.digest.in_(bindparam("digests", expanding=True)),
+def _concerning(condition: ColumnElement[bool]) -> Select[Any]:
+    """Decisions of a plant, `of_plant`, on any of some `candidates`, and those of all plants on any
+    of some episodes, `digests`."""
+    of, reads = t.decisions.c, t.job_reads.c
+    on_candidates = (of.plant == bindparam("of_plant")) & of.candidate.in_(
+        bindparam("candidates", expanding=True)
     )
-    return select(t.decisions).where(t.decisions.c.job.in_(reads), condition)
-
-
-def _on_candidates(condition: ColumnElement[bool]) -> Select[Any]:
-    """Decisions of a plant, `of_plant`, on any of some `candidates`."""
-    of = t.decisions.c
-    return select(t.decisions).where(
-        of.plant == bindparam("of_plant"),
-        of.candidate.in_(bindparam("candidates", expanding=True)),
-        condition,
+    on_episodes = select(reads.job).where(
+        reads.purpose == "gate", reads.digest.in_(bindparam("digests", expanding=True))
     )
+    return select(t.decisions).where(condition, on_candidates | of.job.in_(on_episodes))
 
 
-_IS_REJECTED = t.decisions.c.accepted.is_(False)
-_REJECTED_CANDIDATES = _on_candidates(_IS_REJECTED)
-_REJECTED_ON_EPISODES = _on_episodes(_IS_REJECTED)
+_REJECTED = _concerning(t.decisions.c.accepted.is_(False))
 _APPROVALS = (
     select(t.approvals)
     .where(
@@ -75,30 +67,22 @@ class Decisions(Repository[DecisionRecord]):
         of_project = select(t.plants.c.name).where(
             t.plants.c.project.is_(None) if project is None else t.plants.c.project == project
         )
-        of_plants = t.decisions.c.plant.in_(of_project)
-        on_candidate, on_episodes = _on_candidates(of_plants), _on_episodes(of_plants)
-        return self._concerning([candidate], plant, episodes, on_candidate, on_episodes)
+        query = _concerning(t.decisions.c.plant.in_(of_project))
+        return self._concerning(query, plant, [candidate], episodes)
 
     def rejections_of(
         self, plant: str, candidates: Sequence[str], episodes: Sequence[str]
     ) -> list[DecisionRecord]:
         """Rejections of some candidates, and those of all plants of all projects on any of these
         episodes, in the order in which they were made."""
-        queries = _REJECTED_CANDIDATES, _REJECTED_ON_EPISODES
-        return self._concerning(candidates, plant, episodes, *queries)
+        return self._concerning(_REJECTED, plant, candidates, episodes)
 
     def _concerning(
-        self,
-        candidates: Sequence[str],
-        plant: str,
-        episodes: Sequence[str],
-        on_candidates: Select[Any],
-        on_episodes: Select[Any],
+        self, query: Select[Any], plant: str, candidates: Sequence[str], episodes: Sequence[str]
     ) -> list[DecisionRecord]:
         of_plant = {"of_plant": plant, "candidates": list(candidates)}
-        decisions = self._all(on_candidates, of_plant)
-        decisions += map(self._record, self._gateway.in_parts(on_episodes, "digests", episodes))
-        by_digest = {decision.digest: decision for decision in decisions}
+        rows = self._gateway.in_parts(query, "digests", episodes, of_plant)
+        by_digest = {d.digest: d for d in map(self._record, rows)}
         return sorted(by_digest.values(), key=lambda d: (d.created_at, d.digest))
 
     def rejected_candidates(self, plant: str, limit: int) -> list[str]:

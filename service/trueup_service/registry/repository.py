@@ -80,13 +80,18 @@ class TableGateway:
         rows = self.connection.execute(query, values).mappings()
         return [record_from_row(kind, table, row) for row in rows]
 
-    def in_parts(self, query: Select[Any], name: str, values: Sequence[str]) -> Iterator[Any]:
+    def in_parts(
+        self,
+        query: Select[Any],
+        name: str,
+        values: Sequence[str],
+        others: Mapping[str, Any] = MappingProxyType({}),
+    ) -> Iterator[Any]:
         """The rows of a query whose parameter `name` takes a list, which may be longer than one
-        statement can name."""
-        for begin in range(0, len(values), IN_CLAUSE):
-            yield from self.connection.execute(
-                query, {name: list(values[begin : begin + IN_CLAUSE])}
-            )
+        statement can name. A row may come once for each part."""
+        for begin in range(0, max(len(values), 1), IN_CLAUSE):
+            part = {name: list(values[begin : begin + IN_CLAUSE])}
+            yield from self.connection.execute(query, {**others, **part})
 
     def insert(self, table: Table, row: Mapping[str, Any] | list[dict[str, Any]]) -> None:
         """Store rows that the log names already, or does not name."""

@@ -99,9 +99,11 @@ class Writer:
             connection = self._connected()
             with self._database.write_on(connection):
                 more: _Action | None = action
+                transaction = Transaction(connection)
                 while more is not None:
                     ran.append(more)
-                    more.run(connection)
+                    if not more.succeeds(transaction):
+                        transaction = Transaction(connection)  # without what it remembers
                     more = None
                     if time.monotonic() < until and not self._waiting.empty():
                         more = self._waiting.get()
@@ -124,12 +126,12 @@ class _Action:
     returned: Any = None
     raised: BaseException | None = None
 
-    def run(self, connection: Connection) -> None:
-        """Runs it behind a savepoint. Raises what SQLite gives up a whole transaction at."""
-        execute = connection.exec_driver_sql
+    def succeeds(self, transaction: Transaction) -> bool:
+        """Runs it behind a savepoint, and says whether it raised nothing. Raises what SQLite gives
+        up a whole transaction at."""
+        execute = transaction.connection.exec_driver_sql
         execute("SAVEPOINT action")
         try:
-            transaction = Transaction(connection)
             self.returned = self.context.run(self.act, transaction)
             transaction.require_logged()
         except BaseException as error:  # noqa: BLE001  (it is raised where it is waited for)
@@ -139,6 +141,7 @@ class _Action:
             except Exception:  # noqa: BLE001  (there is no such savepoint any more)
                 raise error from None
         execute("RELEASE action")
+        return self.raised is None
 
     def succeed(self) -> None:
         """Hands over what the action returned or raised."""
