@@ -36,6 +36,11 @@ class AuditEntry:
 
 def entry_bytes(entry: AuditEntry) -> bytes:
     """An entry as the tree's leaf: canonical JSON."""
+    return entry_bytes_of(entry, digest_of(entry.facts), digest_of(entry.rows))
+
+
+def entry_bytes_of(entry: AuditEntry, facts_digest: str, rows_digest: str) -> bytes:
+    """An entry whose facts and rows have these digests, as the tree's leaf: canonical JSON."""
     return canonical_bytes(
         {
             "sequence": entry.sequence,
@@ -44,8 +49,8 @@ def entry_bytes(entry: AuditEntry) -> bytes:
             "actor": entry.actor,
             "plant": entry.plant,
             "subject": entry.subject,
-            "facts_sha256": digest_of(entry.facts),
-            "rows_sha256": digest_of(entry.rows),
+            "facts_sha256": facts_digest,
+            "rows_sha256": rows_digest,
         }
     )
 

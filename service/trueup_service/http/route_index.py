@@ -42,9 +42,9 @@ class RouteIndex(BaseRoute):
             for shape in self._shapes.get((method, len(segments)), ()):
                 route = self._routes.get((method, _literals(segments, shape)))
                 if route is not None:
-                    match, found = route.matches(scope)
+                    match, matched = route.matches(scope)
                     if match is Match.FULL:
-                        return match, found
+                        return match, matched
         return Match.NONE, {}
 
     async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:

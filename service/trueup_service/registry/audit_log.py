@@ -8,14 +8,15 @@ from typing import Any
 
 from sqlalchemy import Select, bindparam, func, select, update
 
-from trueup.canonical import Json
+from trueup.canonical import Json, digest_of_bytes
 from trueup.errors import BrokenChain
-from trueup.ledger.audit import AuditEntry, entry_bytes
+from trueup.ledger.audit import AuditEntry, entry_bytes_of
 from trueup.ledger.merkle import Frontier, Node, leaf_hash, node_of, number_of
 from trueup_service.actor_context import ActorContext
 from trueup_service.registry import tables as t
 from trueup_service.registry.records import AuditKey
 from trueup_service.registry.repository import TableGateway, values_of
+from trueup_service.registry.row_format import row_from_values
 
 ESCAPE = "\\"
 
@@ -83,8 +84,10 @@ class AuditLog:
 
     def _add_leaf(self, tree: Frontier, entry: AuditEntry) -> Frontier:
         """Add an entry and the nodes of the tree that it completes. Returns the tree with it."""
-        grown, completed = tree.append(leaf_hash(entry_bytes(entry)))
-        self._gateway.add(t.audit, values_of(entry))
+        row = row_from_values(t.audit, values_of(entry))
+        digests = (digest_of_bytes(row[name].encode()) for name in ("facts", "rows"))
+        grown, completed = tree.append(leaf_hash(entry_bytes_of(entry, *digests)))
+        self._gateway.insert(t.audit, row)
         nodes = [{"node": number_of(node), "hash": digest} for node, digest in completed.items()]
         self._gateway.insert(t.audit_tree, nodes)
         return grown

@@ -49,7 +49,7 @@ class Writer:
         return self._submit(act).result()
 
     async def run_async(self, act: Callable[[Transaction], R]) -> R:
-        """The same from the event loop, which goes on meanwhile."""
+        """`run` from the event loop, which goes on meanwhile."""
         if not self._database.is_sqlite:
             return await asyncio.to_thread(self.run, act)
         return await asyncio.wrap_future(self._submit(act))
