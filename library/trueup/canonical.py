@@ -34,9 +34,9 @@ _AS_CANONICAL = (
     | orjson.OPT_PASSTHROUGH_DATETIME
 )
 _EXPONENT = re.compile(rb"[0-9]e[-+0-9]")
-_TEXT = re.compile(rb'"(?:[^"\\]|\\.)*"')
-_WHOLE = re.compile(rb"[0-9]\.0(?![0-9])")
-_TEXT_OR_WHOLE = re.compile(rb'"(?:[^"\\]|\\.)*"|(-?[0-9]+)\.0(?![0-9])')
+_TEXTS = re.compile(rb'("[^"\\]*(?:\\.[^"\\]*)*")')
+_WHOLE = re.compile(rb"([0-9])\.0(?![0-9])")
+_MINUS_ZERO = re.compile(rb"-0(?![0-9.])")
 _BEYOND_16_BITS = re.compile(rb"[\xf0-\xff]")
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 
@@ -67,19 +67,26 @@ def _quickly(value: Json) -> bytes | None:
         written = orjson.dumps(value, _plain_text, _AS_CANONICAL)
     except TypeError:
         return None
-    if (
-        (_EXPONENT.search(written) and _EXPONENT.search(_TEXT.sub(b"", written)))
-        or (not written.isascii() and _BEYOND_16_BITS.search(written))
-        or (b"null" in written and orjson.loads(written) != value)  # a NaN is no null
+    if (not written.isascii() and _BEYOND_16_BITS.search(written)) or (
+        b"null" in written and orjson.loads(written) != value  # a NaN is no null
     ):
         return None
-    return _TEXT_OR_WHOLE.sub(_whole, written) if _WHOLE.search(written) else written
+    if b".0" in written or _EXPONENT.search(written):
+        return _with_whole_numbers(written)
+    return written
 
 
-def _whole(match: re.Match[bytes]) -> bytes:
-    """A whole number without its point, and a text as it is."""
-    number = match[1]
-    return match[0] if number is None else b"0" if number == b"-0" else number
+def _with_whole_numbers(written: bytes) -> bytes | None:
+    """The bytes with whole numbers without their point, None where a number has an exponent. Texts
+    stay as they are."""
+    pieces = _TEXTS.split(written)  # every other one is a text
+    between = b'"'.join(pieces[::2])
+    if _EXPONENT.search(between):
+        return None
+    if b".0" not in between:
+        return written
+    pieces[::2] = _MINUS_ZERO.sub(b"0", _WHOLE.sub(rb"\1", between)).split(b'"')
+    return b"".join(pieces)
 
 
 def _plain_text(value: object) -> str:
