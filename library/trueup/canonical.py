@@ -33,7 +33,8 @@ _AS_CANONICAL = (
     | orjson.OPT_PASSTHROUGH_DATACLASS
     | orjson.OPT_PASSTHROUGH_DATETIME
 )
-_EXPONENT = re.compile(rb"[0-9]e[-+0-9]")
+# Exponents from -7 downwards are written as RFC 8785 writes them.
+_EXPONENT = re.compile(rb"[0-9]e(?:[+0-9]|-[1-6](?![0-9]))")
 _TEXTS = re.compile(rb'("[^"\\]*(?:\\.[^"\\]*)*")')
 _WHOLE = re.compile(rb"([0-9])\.0(?![0-9])")
 _MINUS_ZERO = re.compile(rb"-0(?![0-9.])")
@@ -77,8 +78,8 @@ def _quickly(value: Json) -> bytes | None:
 
 
 def _with_whole_numbers(written: bytes) -> bytes | None:
-    """The bytes with whole numbers without their point, None where a number has an exponent. Texts
-    stay as they are."""
+    """The bytes with whole numbers without their point, None where a number has an exponent that
+    RFC 8785 writes in another way. Texts stay as they are."""
     pieces = _TEXTS.split(written)  # every other one is a text
     between = b'"'.join(pieces[::2])
     if _EXPONENT.search(between):
