@@ -169,6 +169,33 @@ def test_the_event_loop_goes_on_meanwhile_and_the_caller_s_context_is_the_action
     assert (seen, name) == (["somebody"], "plant")
 
 
+@pytest.mark.parametrize("storage", ["embedded"], indirect=True)
+def test_what_is_cancelled_while_it_waits_is_not_done_and_what_has_begun_is(parts):
+    held, begun = threading.Event(), threading.Event()
+
+    def first(tx):
+        begun.set()
+        assert held.wait(10)
+        return register("first")(tx)
+
+    async def both():
+        tasks = [asyncio.create_task(parts.writer.run_async(first))]
+        while not begun.is_set():
+            await asyncio.sleep(0.001)
+        tasks.append(asyncio.create_task(parts.writer.run_async(register("second"))))
+        await asyncio.sleep(0.01)
+        for task in tasks:
+            task.cancel()
+        ended = await asyncio.gather(*tasks, return_exceptions=True)
+        held.set()
+        return ended, await parts.writer.run_async(register("third"))
+
+    ended, third = asyncio.run(both())
+    assert [type(each) for each in ended] == [asyncio.CancelledError] * 2
+    assert third == "third"
+    assert plants(parts) == (["first", "third"], 2)
+
+
 def test_closing_waits_for_what_was_asked(parts):
     ended = at_once(parts, register("second"))
     parts.writer.close()

@@ -37,6 +37,7 @@ class Writer:
         self._waiting: queue.SimpleQueue[_Action | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
         self._connection: Connection | None = None
+        self._is_ending = False
         self._starting = threading.Lock()
 
     def run(self, act: Callable[[Transaction], R]) -> R:
@@ -71,14 +72,27 @@ class Writer:
     def _start(self) -> None:
         with self._starting:
             if self._thread is None:
+                self._is_ending = False
                 self._thread = threading.Thread(target=self._serve, name="writer", daemon=True)
                 self._thread.start()
 
     def _serve(self) -> None:
-        following = True
-        while following and (action := self._waiting.get()) is not None:
-            following = self._commit_with_others(action)
+        while (action := self._taken()) is not None:
+            self._commit_with_others(action)
+            if self._is_ending:
+                break
         self._disconnect()
+
+    def _taken(self, *, wait: bool = True) -> _Action | None:
+        """The next action that nobody has cancelled. None at the end, and where none waits."""
+        while wait or not self._waiting.empty():
+            action = self._waiting.get()
+            if action is None:
+                self._is_ending = True
+                return None
+            if action.done.set_running_or_notify_cancel():
+                return action
+        return None
 
     def _connected(self) -> Connection:
         if self._connection is None:
@@ -90,32 +104,27 @@ class Writer:
             self._connection.close()
             self._connection = None
 
-    def _commit_with_others(self, action: _Action) -> bool:
-        """Runs an action and those that wait in one transaction. Returns False where the last of
-        them is told to end."""
-        ran: list[_Action] = []
-        until, following = time.monotonic() + LONGEST_S, True
+    def _commit_with_others(self, action: _Action) -> None:
+        """Runs an action and those that wait in one transaction."""
+        ran, until = [action], time.monotonic() + LONGEST_S
         try:
             connection = self._connected()
             with self._database.write_on(connection):
-                more: _Action | None = action
                 transaction = Transaction(connection)
+                more: _Action | None = action
                 while more is not None:
-                    ran.append(more)
                     if not more.succeeds(transaction):
                         transaction = Transaction(connection)  # without what it remembers
-                    more = None
-                    if time.monotonic() < until and not self._waiting.empty():
-                        more = self._waiting.get()
-                        following = more is not None
+                    more = self._taken(wait=False) if time.monotonic() < until else None
+                    if more is not None:
+                        ran.append(more)
         except BaseException as error:  # noqa: BLE001  (it is raised where it is waited for)
             self._disconnect()
-            for one in ran or [action]:
+            for one in ran:
                 one.fail(error)
         else:
             for one in ran:
                 one.succeed()
-        return following
 
 
 @dataclass(slots=True)
