@@ -12,6 +12,7 @@ from trueup.cores import one_arena
 from trueup.diagnose.case import read_case
 from trueup.diagnose.diagnosis import Diagnosis, diagnose
 from trueup.diagnose.figures import figures
+from trueup.diagnose.processes import in_processes
 from trueup.diagnose.report import COMMAND_FILE
 from trueup.diagnose.summary_text import sentence
 from trueup.diagnose.summary_warnings import warnings
@@ -55,7 +56,9 @@ def run(
     with progress("diagnose") as bar:
         bar(0.0, "reading the episodes")
         plant, episodes = read_case(case)
-        diagnosis = diagnose(plant, episodes, seed, lambda stage, part: bar(part, stage))
+        diagnosis = diagnose(
+            plant, episodes, seed, lambda stage, part: bar(part, stage), in_processes
+        )
     write(diagnosis, episodes, out)
     report = diagnosis.document
     files = {

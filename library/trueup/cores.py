@@ -11,6 +11,7 @@ from functools import cache
 from typing import Any
 
 ARENAS = -8  # the name of glibc's M_ARENA_MAX
+_limit: list[int] = []
 
 
 def one_arena() -> bool:
@@ -36,7 +37,13 @@ def own_cores() -> list[int]:
 @cache
 def cores() -> int:
     """How many cores this process may use."""
-    return len(own_cores())
+    return min(len(own_cores()), *_limit) if _limit else len(own_cores())
+
+
+def only_one() -> None:
+    """Let this process use one core from now on, since others use the rest."""
+    cores.cache_clear()
+    _limit.append(1)
 
 
 def in_parallel(work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:

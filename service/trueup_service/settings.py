@@ -175,7 +175,7 @@ class Settings(BaseSettings):
         None,
         ge=512 << 20,
         description="Data that a process may hold that computes a job [bytes]; unset: what the "
-        "machine has. macOS does not enforce it.",
+        "machine has. A diagnosis forks one process more for each core. macOS does not enforce it.",
     )
     job_time_limit_s: float | None = Field(
         None, gt=0, description="Time that a job, or a part of one, may take [s]; unset: any."

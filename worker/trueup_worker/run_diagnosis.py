@@ -11,6 +11,7 @@ from trueup.code_identity import code_identity
 from trueup.collect.coverage import coverage_of
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.figures import FIGURES_FILE, figures
+from trueup.diagnose.processes import in_processes
 from trueup.diagnose.report import COMMAND_FILE
 from trueup.diagnose.summary_text import sentence
 from trueup.episode.role import Role
@@ -41,7 +42,11 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     request: dict[str, Any] = dict(job.request)
     seed = int(request["seed"])
     diagnosis = diagnose(
-        plant, episodes, seed, lambda stage, part: progress.stage(stage, READING, 1.0)(part)
+        plant,
+        episodes,
+        seed,
+        lambda stage, part: progress.stage(stage, READING, 1.0)(part),
+        in_processes,
     )
     report = dict(diagnosis.document)
     provenance: dict[str, Json] = {

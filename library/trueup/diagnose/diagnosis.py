@@ -157,7 +157,7 @@ def diagnose(
     if diagnosis.choice.verdict is not Conclusion.UNKNOWN or recordings.declares_stage:
         return diagnosis
     progress("once more, as a machine's", 0.0)
-    return _diagnosis(recordings.as_of_a_machine(), episodes, seed, progress, in_threads)
+    return _diagnosis(recordings.as_of_a_machine(), episodes, seed, progress, solve)
 
 
 def _diagnosis(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from trueup.cores import in_parallel
 from trueup.diagnose.data_quality import DataQuality
-from trueup.diagnose.measure import knows_beginnings, squared_errors, windows_of
+from trueup.diagnose.measure import knows_beginnings, squared_errors_of, windows_of
 from trueup.diagnose.tuning_of_answers import FILTER
 from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import RolloutFit
@@ -25,9 +25,10 @@ from trueup.model.block import joint as joint_of
 from trueup.model.block import kind, term
 from trueup.model.corrected import Corrected
 from trueup.model.plant import Plant
-from trueup.model.series import Scheme
+from trueup.model.series import Scheme, Series
 from trueup.model.state import smoothed_states
 from trueup.model.velocity_prior import VelocityPrior, velocity_prior
+from trueup.model.windows import Windows
 
 Array = NDArray[np.float64]
 SETTLED = 1e-10  # of a standard deviation squared: a covariance that stands still
@@ -68,7 +69,7 @@ def corrected(
         model = replace(model, known=moments)
     period = episodes[0].period_s
     far, near = (
-        windows_of(plant, episodes, length, beginnings=knows_beginnings(model))
+        _Compared.of(model, episodes, length, quality.motion)
         for length in (plant.horizon_s, period)
     )
 
@@ -77,7 +78,7 @@ def corrected(
             model,
             gain=_gain(plant, quality, model, 10.0 ** kind[0], period, unknown, wanders=kind[1]),
         )
-        return squared_errors(candidate, far, quality.motion), candidate
+        return far.errors(candidate), candidate
 
     def predicted_all(
         kinds: Sequence[tuple[float, bool]],
@@ -100,8 +101,30 @@ def corrected(
         width /= 2.0
     least = min((errors for errors, _ in tried.values()), key=lambda errors: errors.mean())
     alike = [candidate for errors, candidate in tried.values() if _as_well(errors - least)]
-    nearest = list(in_parallel(lambda c: squared_errors(c, near, quality.motion).mean(), alike))
+    nearest = list(in_parallel(lambda c: near.errors(c).mean(), alike))
     return alike[int(np.argmin(nearest))]
+
+
+@dataclass(frozen=True, slots=True)
+class _Compared:
+    """The windows on which the gains of a model are compared, and how rollouts over them begin,
+    which is the same with every gain."""
+
+    windows: Sequence[Windows]
+    beginnings: Sequence[tuple[Series, Array]]
+    motion: Array
+
+    @staticmethod
+    def of(
+        model: Corrected, episodes: Sequence[Episode], length_s: float, motion: Array
+    ) -> _Compared:
+        windows = windows_of(model.plant, episodes, length_s, beginnings=knows_beginnings(model))
+        return _Compared(windows, [model.beginning(w) for w in windows], motion)
+
+    def errors(self, candidate: Corrected) -> Array:
+        """Mean squared normalised error of each window, `(windows,)`."""
+        rolled = candidate.rollouts_from(self.beginnings, self.windows)
+        return squared_errors_of(candidate.plant, rolled, self.windows, self.motion)
 
 
 def _as_well(worse: Array) -> bool:

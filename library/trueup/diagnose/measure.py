@@ -89,6 +89,14 @@ def squared_errors(predictor: Predictor, windows: Sequence[Windows], motion: Arr
     return np.asarray(by_channel(predictor, windows, motion).mean(axis=1))
 
 
+def squared_errors_of(
+    plant: Plant, rolled: Sequence[Array], windows: Sequence[Windows], motion: Array
+) -> Array:
+    """`squared_errors` of rollouts over these windows, states `(windows, samples, states)` of each
+    episode."""
+    return np.asarray(_by_channel(plant, rolled, windows, motion).mean(axis=1))
+
+
 def knows_beginnings(model: Predictor) -> bool:
     """Whether a log's first sample says all that a model starts from: nothing acts that remembers
     what was before it."""
@@ -145,9 +153,14 @@ def windows_of(
 
 def by_channel(predictor: Predictor, windows: Sequence[Windows], motion: Array) -> Array:
     """Mean squared normalised error of each window and observed channel, `(windows, channels)`."""
-    plant = predictor.plant
-    rolled = zip(predictor.rollouts(windows), windows, strict=True)
-    return np.concatenate([_of_episode(plant, states, w, motion) for states, w in rolled])
+    return _by_channel(predictor.plant, predictor.rollouts(windows), windows, motion)
+
+
+def _by_channel(
+    plant: Plant, rolled: Sequence[Array], windows: Sequence[Windows], motion: Array
+) -> Array:
+    pairs = zip(rolled, windows, strict=True)
+    return np.concatenate([_of_episode(plant, states, w, motion) for states, w in pairs])
 
 
 def _of_episode(plant: Plant, states: Array, windows: Windows, motion: Array) -> Array:

@@ -135,24 +135,32 @@ class Corrected(Predictor):
         return self.rollouts([windows])[0]
 
     def rollouts(self, windows: Sequence[Windows]) -> list[Array]:
+        return self.rollouts_from([self.beginning(w) for w in windows], windows)
+
+    def rollouts_from(
+        self, beginnings: Sequence[tuple[Series, Array]], windows: Sequence[Windows]
+    ) -> list[Array]:
+        """`rollouts` from what the `beginning` of each windows is, which the gain does not
+        change."""
         on = switches(self.hypothesis, len(self.plant.joints))
-        asked = [self._rollout_of(w) for w in windows]
+        joints = len(self.plant.joints)
+        gain = np.array(self.gain or ((0.0,) * 8 * joints,)).reshape(-1, joints, 4, 2)
+        asked = [RolloutOf(series, self.lanes(), init, gain) for series, init in beginnings]
 
         def in_windows(i: int, out: Array) -> Array:
             return np.asarray(out[windows[i].rows][:, :, :, 1])
 
         return roll_each(self.plant.form, on, asked, in_windows)
 
-    def _rollout_of(self, windows: Windows) -> RolloutOf:
-        """What is asked of an episode: to start each window from the filter of its past."""
-        plant, joints = self.plant, len(self.plant.joints)
+    def beginning(self, windows: Windows) -> tuple[Series, Array]:
+        """An episode each of whose windows starts from the filter of its past, and from where that
+        starts, `(1, states, BLOCK)`."""
+        plant = self.plant
         series = whole(plant, windows.episode, self.scheme, windows.first, windows.initial)
         first = np.nan_to_num(past_states(plant, windows.episode, slice(1)))
         if self.known and not np.isfinite(positions_and_velocities(plant, windows.episode)[0, 1]):
             first[0, 1] = self.known.velocity(first[0, 0], series.issued[0, 0])
-        init = np.repeat(first[:, :, None], BLOCK, axis=2)
-        gain = np.array(self.gain or ((0.0,) * 8 * joints,)).reshape(-1, joints, 4, 2)
-        return RolloutOf(series, self.lanes(), init, gain)
+        return series, np.repeat(first[:, :, None], BLOCK, axis=2)
 
     def lanes(self) -> Array:
         """The block's vector in every lane, `(rows, BLOCK)`."""
