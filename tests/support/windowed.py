@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from trueup.model.block import BLOCK
+from trueup.model.block import BLOCK, FILTERS
 from trueup.model.effect import effects
 from trueup.model.hypothesis import begun, switches
-from trueup.model.roll import roll
+from trueup.model.roll import roll_each
 from trueup.model.series import RolloutOf, Scheme, Series, integral_of
 
 FOLLOWING = 2  # lanes that begin each window with what the first remembers
@@ -31,9 +31,12 @@ def series_of(commands, observed, period_s, u_scale, begins=0, every=100):
 
 
 def rolled(form, parameters, hypothesis, s, sizes, gain=None, moved=()):
-    """Returns what is observed in the rollout that `asked` asks for."""
+    """Returns what is observed in the rollout that `asked` asks for: in each lane, or in that of a
+    filter and in the one that starts windows from it."""
     of = asked(form, parameters, hypothesis, s, sizes, gain, moved)
-    return roll(s, form, of.p, switches(hypothesis, form.block.joints), of.init, gain, of.starts)
+    on = switches(hypothesis, form.block.joints)
+    (out,) = roll_each(form, on, [of], lambda _, out: out)
+    return out if gain is None else out[:, :, [0, FILTERS]]
 
 
 def asked(form, parameters, hypothesis, s, sizes, gain=None, moved=()):
@@ -55,4 +58,6 @@ def asked(form, parameters, hypothesis, s, sizes, gain=None, moved=()):
         p[list(moved), range(3, 3 + len(moved))] *= 1.01
         for key, row in block.memories.items():
             p[row, 6] += 0.1 if key[0] in hypothesis.effects else 0.0
-    return RolloutOf(s, p, init, gain, 0 if gain is not None else FOLLOWING)
+    if gain is None:
+        return RolloutOf(s, p, init, starts=FOLLOWING)
+    return RolloutOf(s, p, init, gain[..., None])

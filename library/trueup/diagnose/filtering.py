@@ -21,9 +21,9 @@ from trueup.diagnose.measure import knows_beginnings, squared_errors_of, windows
 from trueup.diagnose.tuning_of_answers import FILTER
 from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import RolloutFit
+from trueup.model.block import FILTERS, kind, term
 from trueup.model.block import joint as joint_of
-from trueup.model.block import kind, term
-from trueup.model.corrected import Corrected
+from trueup.model.corrected import Corrected, side_by_side
 from trueup.model.plant import Plant
 from trueup.model.series import Scheme, Series
 from trueup.model.state import smoothed_states
@@ -73,17 +73,17 @@ def corrected(
         for length in (plant.horizon_s, period)
     )
 
-    def predicted(kind: tuple[float, bool]) -> tuple[Array, Corrected]:
-        candidate = replace(
-            model,
-            gain=_gain(plant, quality, model, 10.0 ** kind[0], period, unknown, wanders=kind[1]),
-        )
-        return far.errors(candidate), candidate
+    def with_gain(kind: tuple[float, bool]) -> Corrected:
+        size, wanders = kind
+        gain = _gain(plant, quality, model, 10.0**size, period, unknown, wanders=wanders)
+        return replace(model, gain=gain)
 
     def predicted_all(
         kinds: Sequence[tuple[float, bool]],
     ) -> dict[tuple[float, bool], tuple[Array, Corrected]]:
-        return dict(zip(kinds, in_parallel(predicted, kinds), strict=True))
+        candidates = list(in_parallel(with_gain, kinds))
+        errors = far.errors(candidates)
+        return dict(zip(kinds, zip(errors, candidates, strict=True), strict=True))
 
     tried = predicted_all(
         [
@@ -101,7 +101,7 @@ def corrected(
         width /= 2.0
     least = min((errors for errors, _ in tried.values()), key=lambda errors: errors.mean())
     alike = [candidate for errors, candidate in tried.values() if _as_well(errors - least)]
-    nearest = list(in_parallel(lambda c: near.errors(c).mean(), alike))
+    nearest = [errors.mean() for errors in near.errors(alike)]
     return alike[int(np.argmin(nearest))]
 
 
@@ -121,10 +121,19 @@ class _Compared:
         windows = windows_of(model.plant, episodes, length_s, beginnings=knows_beginnings(model))
         return _Compared(windows, [model.beginning(w) for w in windows], motion)
 
-    def errors(self, candidate: Corrected) -> Array:
-        """Mean squared normalised error of each window, `(windows,)`."""
-        rolled = candidate.rollouts_from(self.beginnings, self.windows)
-        return squared_errors_of(candidate.plant, rolled, self.windows, self.motion)
+    def errors(self, candidates: Sequence[Corrected]) -> list[Array]:
+        """Mean squared normalised error of each window, `(windows,)`, of each candidate."""
+        if not candidates:
+            return []
+        plant = candidates[0].plant
+        at_once = FILTERS if plant.form.simulator is None else 1
+        groups = [candidates[i : i + at_once] for i in range(0, len(candidates), at_once)]
+
+        def of_group(group: Sequence[Corrected]) -> list[Array]:
+            rolled = side_by_side(group, self.beginnings, self.windows)
+            return [squared_errors_of(plant, r, self.windows, self.motion) for r in rolled]
+
+        return [errors for group in in_parallel(of_group, groups) for errors in group]
 
 
 def _as_well(worse: Array) -> bool:

@@ -20,6 +20,7 @@ from trueup.model.effect import Effect, effects
 from trueup.model.family import families
 
 BLOCK = 16  # lanes: two AVX-512 or four AVX2 registers of float64
+FILTERS = BLOCK // 2  # lanes that filters may be, each followed by one of the others
 AT = "@"
 Memory = tuple[str, str]  # a term, and one of its hidden states
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from trueup.canonical import Json
 from trueup.errors import NotExportable
-from trueup.model.block import BLOCK, joint, kind, term
+from trueup.model.block import BLOCK, FILTERS, joint, kind, term
 from trueup.model.dynamics import CompiledFamily, CompiledTree, Dynamics
 from trueup.model.effect import Port, effects, known_effect, source_of
 from trueup.model.hypothesis import Hypothesis, switches
@@ -142,15 +142,13 @@ class Corrected(Predictor):
     ) -> list[Array]:
         """`rollouts` from what the `beginning` of each windows is, which the gain does not
         change."""
-        on = switches(self.hypothesis, len(self.plant.joints))
+        return side_by_side([self], beginnings, windows)[0]
+
+    def gains(self) -> Array:
+        """The gains of an episode's first samples and, the last, of all others, `(beginning,
+        joints, 4, 2)`."""
         joints = len(self.plant.joints)
-        gain = np.array(self.gain or ((0.0,) * 8 * joints,)).reshape(-1, joints, 4, 2)
-        asked = [RolloutOf(series, self.lanes(), init, gain) for series, init in beginnings]
-
-        def in_windows(i: int, out: Array) -> Array:
-            return np.asarray(out[windows[i].rows][:, :, :, 1])
-
-        return roll_each(self.plant.form, on, asked, in_windows)
+        return np.array(self.gain or ((0.0,) * 8 * joints,)).reshape(-1, joints, 4, 2)
 
     def beginning(self, windows: Windows) -> tuple[Series, Array]:
         """An episode each of whose windows starts from the filter of its past, and from where that
@@ -229,6 +227,26 @@ class Corrected(Predictor):
             else VelocityPrior(arrays["known"], int(given["nearest"]))
         )
         return Corrected(plant, hypothesis, tuple(float(x) for x in values), scheme, rows, known)
+
+
+def side_by_side(
+    models: Sequence[Corrected],
+    beginnings: Sequence[tuple[Series, Array]],
+    windows: Sequence[Windows],
+) -> list[list[Array]]:
+    """`rollouts_from` of up to FILTERS models that differ in their gains alone, each a filter in
+    lanes of its own."""
+    one = models[0]
+    on = switches(one.hypothesis, len(one.plant.joints))
+    gains = np.stack([model.gains() for model in models], axis=-1)
+    asked = [RolloutOf(series, one.lanes(), init, gains) for series, init in beginnings]
+
+    def in_windows(i: int, out: Array) -> list[Array]:
+        lanes = [FILTERS + k for k in range(len(models))]
+        return [np.asarray(out[windows[i].rows][:, :, :, lane]) for lane in lanes]
+
+    rolled = roll_each(one.plant.form, on, asked, in_windows)
+    return [[of_episode[k] for of_episode in rolled] for k in range(len(models))]
 
 
 @singledispatch

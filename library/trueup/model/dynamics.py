@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.model.block import BLOCK, Block
+from trueup.model.block import BLOCK, FILTERS, Block
 from trueup.model.effect import effects
 from trueup.model.family import Family, families
 from trueup.model.joint_effects import JointEffects
@@ -329,7 +329,7 @@ class CompiledTree(Dynamics):
                 np.ascontiguousarray(h_s.reshape(-1)), np.ascontiguousarray(runs), issued,
                 np.zeros_like(issued), np.zeros_like(issued), resets,
                 np.repeat(initial[:, :, None], BLOCK, axis=2), 0, False,
-                np.zeros((1, joints, 4, 2)), observed, out,
+                np.zeros((1, joints, 4, 2, FILTERS)), observed, out,
             )  # fmt: skip
             states[first : first + len(some)] = np.moveaxis(out[:, :, : len(some)], 2, 0).reshape(
                 -1, windows, samples, 2 * joints

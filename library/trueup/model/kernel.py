@@ -11,8 +11,9 @@ What effects do is called port by port (`ports.py`).
   past.
 - Lanes that differ in their starts have lane 0's past at each of them, so that they show what a
   start does in its own window.
-- Where lane 0 is a filter, it is corrected by each observation: its position, its velocity, a force
-  that disturbs it and what hides its velocity. The others start each window from its whole state.
+- Where the first FILTERS lanes are filters, each is corrected by each observation with a gain of
+  its own: its position, its velocity, a force that disturbs it and what hides its velocity. Each of
+  the others starts each window from the whole state of one of them.
 
 Two schemes of integration: the declared one (semi-implicit Euler, alpha 0), and its symmetric form
 (alpha 1/2), in which position drifts, velocity is kicked and position drifts, of second order.
@@ -31,7 +32,7 @@ from numba import njit
 from numba.extending import register_jitable
 
 from trueup.model import ports
-from trueup.model.block import BLOCK
+from trueup.model.block import BLOCK, FILTERS
 from trueup.model.dynamics import TREE_FORM
 from trueup.model.family import source_digest
 from trueup.model.inverse import invert_lanes
@@ -96,8 +97,8 @@ def kernel() -> Callable[..., None]:
     effect's forces are measured; u_scale `(joints,)`; t_s, h_s, steps, resets (the window that
     starts at a sample, or -1) `(samples,)`; issued, the mean command until the next sample, its
     rise meanwhile and its integral up to each sample `(samples, joints)`; init `(windows, 2 x
-    joints, BLOCK)`; gain `(beginning, joints, 4, 2)`; observed `(samples, 2 x joints)`; writes out
-    `(samples, 2 x joints, BLOCK)`.
+    joints, BLOCK)`; gain `(beginning, joints, 4, 2, FILTERS)`; observed `(samples, 2 x joints)`;
+    writes out `(samples, 2 x joints, BLOCK)`.
     """
     return _compiled(
         ",".join(
@@ -131,7 +132,8 @@ def _compiled(made_of: str) -> Callable[..., None]:
         links, inverse_mass = np.zeros((n, LINK_ROWS * BLOCK)), np.zeros((n, n * BLOCK))
         room, holding = np.zeros((2, n * BLOCK)), np.zeros(BLOCK)
         forces, free, held = np.zeros((n, BLOCK)), np.zeros((n, BLOCK)), np.zeros((n, BLOCK))
-        nothing, beyond, push = np.zeros((n, BLOCK)), np.zeros((n, BLOCK)), np.zeros(n)
+        nothing, beyond = np.zeros((n, BLOCK)), np.zeros((n, BLOCK))
+        push = np.zeros((n, FILTERS))
         for lane in range(BLOCK):
             common[PERIOD, lane], common[IMPLICIT, lane] = period, 1.0 - 2.0 * alpha
         for j in range(n):
@@ -149,7 +151,7 @@ def _compiled(made_of: str) -> Callable[..., None]:
                     for lane in range(BLOCK):
                         q[j, lane], v[j, lane] = init[0, j, lane], init[0, n + j, lane]
             elif is_filter and resets[i] >= 0:
-                start_as_first(i, signals, common, memory, on, own, passed, beyond)
+                start_as_filters(i, signals, common, memory, on, own, passed, beyond)
             elif resets[i] >= 0:
                 start_from(init[resets[i]], starts, signals, common, memory, on, own, beyond)
             for lane in range(BLOCK):
@@ -161,12 +163,12 @@ def _compiled(made_of: str) -> Callable[..., None]:
                     show_late(i, j, t_s, signals, passed, seen)
                 observe(j, signals, common, memory, on, own)
             if is_filter:
-                correct_first(i, gain, observed, push, signals, common, memory, on, own)
+                correct_filters(i, gain, observed, push, signals, common, memory, on, own)
                 if resets[i] >= 0:
-                    for lane in range(1, BLOCK):
+                    for lane in range(FILTERS, BLOCK):
                         for j in range(n):
-                            q[j, lane], v[j, lane] = q[j, 0], v[j, 0]
-                            follow(j, signals, common, memory, on, own, lane)
+                            q[j, lane], v[j, lane] = q[j, lane - FILTERS], v[j, lane - FILTERS]
+                            follow(j, signals, common, memory, on, own, lane - FILTERS, lane)
             for j in range(n):
                 for lane in range(BLOCK):
                     out[i, j, lane] = q_at[j, lane]
@@ -216,8 +218,10 @@ def _compiled(made_of: str) -> Callable[..., None]:
                     if family == TREE_FORM:
                         for lane in range(BLOCK):
                             beyond[j, lane] = sizes[j] * a[j, lane] - forces[j, lane]
-                    # of the filter alone: what disturbs the machine for a while is not foretold
-                    a[j, 0] += push[j]
+                    if is_filter:
+                        # of filters alone: what disturbs the machine for a while is not foretold
+                        for lane in range(FILTERS):
+                            a[j, lane] += push[j, lane]
                     for lane in range(BLOCK):
                         level[j, lane] = 0.0
                     friction(j, signals, common, memory, on, own)
@@ -247,19 +251,20 @@ def start(signals: Any, common: Any, memory: Any, on: Any, own: Any, family: Any
     return delayed, late
 
 
-def start_as_first(
+def start_as_filters(
     i: Any, signals: Any, common: Any, memory: Any, on: Any, own: Any, passed: Any, beyond: Any
 ) -> None:
-    """A window's start as lane 0, the filter, has it."""
+    """A window's start as the filter has it that each other lane follows."""
     for j in range(signals.shape[1]):
-        for lane in range(1, BLOCK):
-            signals[Q, j, lane], signals[V, j, lane] = signals[Q, j, 0], signals[V, j, 0]
-            beyond[j, lane] = beyond[j, 0]
-            follow(j, signals, common, memory, on, own, lane)
+        for lane in range(FILTERS, BLOCK):
+            of = lane - FILTERS
+            signals[Q, j, lane], signals[V, j, lane] = signals[Q, j, of], signals[V, j, of]
+            beyond[j, lane] = beyond[j, of]
+            follow(j, signals, common, memory, on, own, of, lane)
     for k in range(min(i, len(passed))):
         for j in range(passed.shape[1]):
-            for lane in range(1, BLOCK):
-                passed[k, j, lane] = passed[k, j, 0]
+            for lane in range(FILTERS, BLOCK):
+                passed[k, j, lane] = passed[k, j, lane - FILTERS]
 
 
 def start_from(
@@ -271,7 +276,7 @@ def start_from(
     for j in range(n):
         jump(j, signals, common, memory, on, own, init[n + j])
         for lane in range(1, 1 + starts):
-            follow(j, signals, common, memory, on, own, lane)
+            follow(j, signals, common, memory, on, own, 0, lane)
         for lane in range(BLOCK):
             signals[Q, j, lane], signals[V, j, lane] = init[j, lane], init[n + j, lane]
             beyond[j, lane] = 0.0
@@ -300,27 +305,29 @@ def show_late(i: Any, j: Any, t_s: Any, signals: Any, passed: Any, seen: Any) ->
                 signals[V_AT, j, lane] = (1.0 - x) * v0 + x * v1
 
 
-def correct_first(
+def correct_filters(
     i: Any, gain: Any, observed: Any, push: Any, signals: Any, common: Any, memory: Any,
     on: Any, own: Any,
 ) -> None:  # fmt: skip
-    """Lane 0, the filter, corrected by what was observed at a sample."""
+    """The filters corrected by what was observed at a sample."""
     n, now = signals.shape[1], min(i, len(gain) - 1)
     for j in range(n):
         for c in range(2):
-            if np.isfinite(observed[i, c * n + j]):
-                shown = signals[Q_AT, j, 0] if c == 0 else signals[V_AT, j, 0]
+            if not np.isfinite(observed[i, c * n + j]):
+                continue
+            for lane in range(FILTERS):
+                shown = signals[Q_AT, j, lane] if c == 0 else signals[V_AT, j, lane]
                 missed = observed[i, c * n + j] - shown
                 if i == 0:  # the log's first sample is all that is known
-                    signals[Q, j, 0] += missed if c == 0 else 0.0
-                    signals[V, j, 0] += missed if c == 1 else 0.0
+                    signals[Q, j, lane] += missed if c == 0 else 0.0
+                    signals[V, j, lane] += missed if c == 1 else 0.0
                 else:
-                    signals[Q, j, 0] += gain[now, j, 0, c] * missed
-                    signals[V, j, 0] += gain[now, j, 1, c] * missed
-                    push[j] += gain[now, j, 2, c] * missed
+                    signals[Q, j, lane] += gain[now, j, 0, c, lane] * missed
+                    signals[V, j, lane] += gain[now, j, 1, c, lane] * missed
+                    push[j, lane] += gain[now, j, 2, c, lane] * missed
                     correct(
                         j, signals, common, memory, on, own,
-                        gain[now, j, 1, c], gain[now, j, 3, c], missed,
+                        gain[now, j, 1, c, lane], gain[now, j, 3, c, lane], missed, lane,
                     )  # fmt: skip
 
 
@@ -350,6 +357,6 @@ def send_late(
 
 
 for _function in (
-    start, start_as_first, start_from, show_late, correct_first, send_late,
+    start, start_as_filters, start_from, show_late, correct_filters, send_late,
 ):  # fmt: skip
     register_jitable(forceinline=True)(_function)  # compiled into the kernel

@@ -16,8 +16,8 @@ effects cost, nothing is compiled for it, and a new effect is one new file.
     answer         forces that answer all others at their joint
     friction       levels of dry friction
     observe        what sensors show
-    follow         hidden states of lane 0, copied to a lane
-    correct        hidden states that an observation corrects
+    follow         hidden states of a lane, copied to another
+    correct        hidden states of a lane that an observation corrects
     jump           hidden states that a window's start sets
 
 Every port gets the number `j` of a joint; `signals` `(SIGNALS_AT_JOINT, joints, lanes)`; `common`,
@@ -172,13 +172,15 @@ def _begin(_: int, effect: type[Effect]) -> Iterator[str]:
 
 
 def _follow(_: int, effect: type[Effect]) -> list[str]:
-    return [f"{_state(effect, state)} = {_state(effect, state, '0')}" for state in effect.states]
+    return [
+        f"{_state(effect, state)} = {_state(effect, state, 'other')}" for state in effect.states
+    ]
 
 
 def _correct(index: int, effect: type[Effect]) -> list[str]:
     if not effect.hides_velocity:
         return []
-    hidden, before = (_state(effect, state, "0") for state in effect.states)
+    hidden, before = (_state(effect, state) for state in effect.states)
     return [
         f"if on[{index}, j]:",
         f"    {hidden} += by_hidden * missed",
@@ -260,8 +262,8 @@ force = _made("force", GIVEN, _at(Port.FORCE))
 answer = _made("answer", GIVEN, _all(lambda i, e: _loop(i, e) if answers_all(e) else ()))
 friction = _made("friction", GIVEN, _at(Port.FRICTION))
 observe = _made("observe", GIVEN, _at(Port.OBSERVATION))
-follow = _made("follow", f"{GIVEN}, lane", _all(_follow))
-correct = _made("correct", f"{GIVEN}, by_velocity, by_hidden, missed", _all(_correct))
+follow = _made("follow", f"{GIVEN}, other, lane", _all(_follow))
+correct = _made("correct", f"{GIVEN}, by_velocity, by_hidden, missed, lane", _all(_correct))
 jump = _made("jump", f"{GIVEN}, set_to", _all(_jump))
 parts_asked = _made(
     "parts_asked", "on", (), _any_on(lambda e: bool(PARTS.intersection(e.arguments())))

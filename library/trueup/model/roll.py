@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.cores import in_parallel
-from trueup.model.block import BLOCK
+from trueup.model.block import BLOCK, FILTERS
 from trueup.model.dynamics import Form
 from trueup.model.series import RolloutOf, Series
 
@@ -24,12 +24,11 @@ def roll(
     p: Array,
     on: NDArray[np.uint8],
     init: Array,
-    gain: Array | None = None,
     starts: int = 0,
 ) -> Array:
     """Rollout of blocks of lanes over one series, `(samples, 2 x joints, lanes)`; arguments as in
     `RolloutOf`, whole blocks of lanes."""
-    return roll_each(form, on, [RolloutOf(s, p, init, gain, starts)], lambda _, out: out)[0]
+    return roll_each(form, on, [RolloutOf(s, p, init, starts=starts)], lambda _, out: out)[0]
 
 
 def roll_each(
@@ -60,11 +59,14 @@ def roll_each(
 def _compiled(form: Form, on: NDArray[np.uint8], of: RolloutOf) -> Array:
     from trueup.model.kernel import kernel  # noqa: PLC0415  (numba loads slowly; a server that only serves needs none)
 
-    s, gain = of.series, of.gain
+    s, gains = of.series, of.gains
     joints, lanes = len(s.u_scale), of.p.shape[1]
     out = np.empty((len(s.t_s), 2 * joints, lanes))
-    observed = np.where(s.usable, s.observed, np.nan) if gain is not None else s.observed
-    followed = np.zeros((1, joints, 4, 2)) if gain is None else gain
+    observed = np.where(s.usable, s.observed, np.nan) if gains is not None else s.observed
+    followed = np.zeros((1, joints, 4, 2, FILTERS))
+    if gains is not None:  # filters that nobody asked for are like the last one
+        followed = np.take(gains, np.minimum(np.arange(FILTERS), gains.shape[-1] - 1), axis=-1)
+        followed = np.ascontiguousarray(followed)
     for first in range(0, lanes, BLOCK):
         some = slice(first, first + BLOCK)
         part = out if lanes == BLOCK else np.empty((len(s.t_s), 2 * joints, BLOCK))
@@ -73,7 +75,7 @@ def _compiled(form: Form, on: NDArray[np.uint8], of: RolloutOf) -> Array:
             form.sizes, s.scheme.alpha, s.u_scale,
             s.period_s, s.t_s, s.h_s, s.steps, s.issued, s.rise, s.integral, s.resets,
             np.ascontiguousarray(of.init[:, :, some]),
-            0 if first else min(of.starts, BLOCK - 1), gain is not None, followed, observed, part,
+            0 if first else min(of.starts, BLOCK - 1), gains is not None, followed, observed, part,
         )  # fmt: skip
         if part is not out:
             out[:, :, some] = part

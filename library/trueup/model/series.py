@@ -118,14 +118,15 @@ class Series:
 @dataclass(frozen=True, slots=True, eq=False)
 class RolloutOf:
     """What is asked of a series: the block's parameters `(rows, lanes)`; where windows start
-    `(windows, 2 x joints, lanes)`; the `gain` `(beginning, joints, 4, 2)` of a filter in lane 0,
-    which the other lanes follow; and how many lanes behind the first differ from it in what windows
-    start from alone, and begin each window with its hidden states."""
+    `(windows, 2 x joints, lanes)`; the `gains` `(beginning, joints, 4, 2, filters)` of filters in
+    the first lanes, each followed by the lane FILTERS behind it; and how many lanes behind the
+    first differ from it in what windows start from alone, and begin each window with its hidden
+    states."""
 
     series: Series
     p: Array
     init: Array
-    gain: Array | None = None
+    gains: Array | None = None
     starts: int = 0
 
 

@@ -49,14 +49,14 @@ def roll_simulator(
     # running away is an answer: it ends as inf or nan
     with _ONE_AT_A_TIME, np.errstate(all="ignore"):
         runs = _runs(simulator, sizes, block, on, asked, kept)
-        out = _filtered(runs) if asked[0].gain is not None else _remembered(runs)
+        out = _filtered(runs) if asked[0].gains is not None else _remembered(runs)
     return [one[:, :, lanes] for one in out]
 
 
 def _distinct(asked: Sequence[RolloutOf]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """For each lane the one of those that are kept that is like it, and those that are kept: the
     first, in a filter's rollout the second, and all that differ from it."""
-    like = 0 if asked[0].gain is None else 1
+    like = 0 if asked[0].gains is None else 1
     count = asked[0].p.shape[1]
     differs = np.zeros(count, np.bool_)
     for one in asked:
@@ -118,7 +118,7 @@ def _run(
         ),
     )
     init = one.init[:, :, kept]
-    if one.gain is not None:  # windows start from the filter
+    if one.gains is not None:  # windows start from the filter
         init = np.repeat(init[:1], len(timeline.starts), axis=0)
     elif len(timeline.starts) > len(init):  # samples before the first window
         init = np.concatenate([np.zeros((1, *init.shape[1:])), init])
@@ -129,7 +129,8 @@ def _run(
             given = {"lag_s": late_s[x.joint], "period": s.period_s}
             late_s[x.joint] = x.value(given, x.begin(0.0, len(kept)))[0]
     starts = int(np.searchsorted(kept, one.starts, side="right")) - 1
-    return Run(s, timeline, step, sensors, late_s, commands, h_s, init, starts, one.gain)
+    gain = None if one.gains is None else one.gains[..., 0]  # one filter alone
+    return Run(s, timeline, step, sensors, late_s, commands, h_s, init, starts, gain)
 
 
 @dataclass(slots=True, eq=False)
