@@ -89,7 +89,9 @@ def test_a_trace_goes_from_a_callers_request_to_the_stages_of_its_diagnosis(expo
     def of_trace():
         return [(s, span) for s, span in spans(receiver) if span.trace_id.hex() == TRACE]
 
-    until(lambda: any(span.name == "job diagnose" for _, span in of_trace()))
+    # each of the three processes exports its own spans, when it is ready
+    ends = {"POST /v1/plants/{plant}/jobs", "job diagnose", "compute", "finish"}
+    until(lambda: ends <= {span.name for _, span in of_trace()})
     by_name = {span.name: (name, span) for name, span in of_trace()}
     server, request_span = by_name["POST /v1/plants/{plant}/jobs"]
     worker, job_span = by_name["job diagnose"]
