@@ -11,7 +11,7 @@ from functools import cache
 from typing import Any
 
 ARENAS = -8  # the name of glibc's M_ARENA_MAX
-_limit: list[int] = []
+_at_most: list[int] = []  # cores that this process was told to use; empty: all that it may
 
 
 def one_arena() -> bool:
@@ -36,14 +36,14 @@ def own_cores() -> list[int]:
 
 @cache
 def cores() -> int:
-    """How many cores this process may use."""
-    return min(len(own_cores()), *_limit) if _limit else len(own_cores())
+    """How many cores this process shares work over."""
+    return min([len(own_cores()), *_at_most])
 
 
-def only_one() -> None:
-    """Let this process use one core from now on, since others use the rest."""
+def use_one() -> None:
+    """Let this process share work over one core from now on, since others use the rest."""
+    _at_most.append(1)
     cores.cache_clear()
-    _limit.append(1)
 
 
 def in_parallel(work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:

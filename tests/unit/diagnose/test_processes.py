@@ -59,6 +59,12 @@ def test_answers_come_in_order_and_not_from_this_process():
     assert shares == pytest.approx([(n + 1) / 9 for n in range(9)])
 
 
+@pytest.mark.parametrize("count", [0, 1])
+def test_nothing_is_forked_for_no_task_or_one(count):
+    answers = in_processes(7, [Squared(n) for n in range(count)], lambda _: None)
+    assert answers == [(7, PARENT)] * count
+
+
 def test_where_a_process_dies_threads_solve_the_tasks():
     assert in_processes(0, [Fatal(n) for n in range(4)], lambda _: None) == [0, 1, 2, 3]
 
