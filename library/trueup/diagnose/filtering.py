@@ -21,8 +21,8 @@ from trueup.diagnose.measure import knows_beginnings, squared_errors_of, windows
 from trueup.diagnose.tuning_of_answers import FILTER
 from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import RolloutFit
-from trueup.model.block import FILTERS, kind, term
 from trueup.model.block import joint as joint_of
+from trueup.model.block import kind, term
 from trueup.model.corrected import Corrected, side_by_side
 from trueup.model.plant import Plant
 from trueup.model.series import Scheme, Series
@@ -110,6 +110,7 @@ class _Compared:
     """The windows on which the gains of a model are compared, and how rollouts over them begin,
     which is the same with every gain."""
 
+    plant: Plant
     windows: Sequence[Windows]
     beginnings: Sequence[tuple[Series, Array]]
     motion: Array
@@ -119,19 +120,16 @@ class _Compared:
         model: Corrected, episodes: Sequence[Episode], length_s: float, motion: Array
     ) -> _Compared:
         windows = windows_of(model.plant, episodes, length_s, beginnings=knows_beginnings(model))
-        return _Compared(windows, [model.beginning(w) for w in windows], motion)
+        return _Compared(model.plant, windows, [model.beginning(w) for w in windows], motion)
 
     def errors(self, candidates: Sequence[Corrected]) -> list[Array]:
         """Mean squared normalised error of each window, `(windows,)`, of each candidate."""
-        if not candidates:
-            return []
-        plant = candidates[0].plant
-        at_once = FILTERS if plant.form.simulator is None else 1
+        at_once = self.plant.form.filters
         groups = [candidates[i : i + at_once] for i in range(0, len(candidates), at_once)]
 
         def of_group(group: Sequence[Corrected]) -> list[Array]:
             rolled = side_by_side(group, self.beginnings, self.windows)
-            return [squared_errors_of(plant, r, self.windows, self.motion) for r in rolled]
+            return [squared_errors_of(self.plant, r, self.windows, self.motion) for r in rolled]
 
         return [errors for group in in_parallel(of_group, groups) for errors in group]
 

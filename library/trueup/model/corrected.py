@@ -135,14 +135,7 @@ class Corrected(Predictor):
         return self.rollouts([windows])[0]
 
     def rollouts(self, windows: Sequence[Windows]) -> list[Array]:
-        return self.rollouts_from([self.beginning(w) for w in windows], windows)
-
-    def rollouts_from(
-        self, beginnings: Sequence[tuple[Series, Array]], windows: Sequence[Windows]
-    ) -> list[Array]:
-        """`rollouts` from what the `beginning` of each windows is, which the gain does not
-        change."""
-        return side_by_side([self], beginnings, windows)[0]
+        return side_by_side([self], [self.beginning(w) for w in windows], windows)[0]
 
     def gains(self) -> Array:
         """The gains of an episode's first samples and, the last, of all others, `(beginning,
@@ -151,8 +144,9 @@ class Corrected(Predictor):
         return np.array(self.gain or ((0.0,) * 8 * joints,)).reshape(-1, joints, 4, 2)
 
     def beginning(self, windows: Windows) -> tuple[Series, Array]:
-        """An episode each of whose windows starts from the filter of its past, and from where that
-        starts, `(1, states, BLOCK)`."""
+        """What a rollout of an episode's windows begins with, whatever the gain: the episode, each
+        of whose windows starts from the filter of its past, and where that filter starts, `(1,
+        states, BLOCK)`."""
         plant = self.plant
         series = whole(plant, windows.episode, self.scheme, windows.first, windows.initial)
         first = np.nan_to_num(past_states(plant, windows.episode, slice(1)))
@@ -234,8 +228,8 @@ def side_by_side(
     beginnings: Sequence[tuple[Series, Array]],
     windows: Sequence[Windows],
 ) -> list[list[Array]]:
-    """`rollouts_from` of up to FILTERS models that differ in their gains alone, each a filter in
-    lanes of its own."""
+    """The `rollouts` of each of some models that differ in their gains alone, as many as their
+    form's `filters`, each in lanes of its own; `beginnings` of the windows of each episode."""
     one = models[0]
     on = switches(one.hypothesis, len(one.plant.joints))
     gains = np.stack([model.gains() for model in models], axis=-1)

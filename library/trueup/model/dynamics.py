@@ -69,6 +69,11 @@ class Form:
         """Whether forces are accelerations: of a family, and of a simulator that takes none."""
         return not self.of_tree and (self.simulator is None or not self.simulator.takes_force)
 
+    @property
+    def filters(self) -> int:
+        """How many filters one rollout holds."""
+        return FILTERS if self.simulator is None else 1
+
 
 class Dynamics(ABC):
     """One semi-implicit Euler step, and many of them at once."""

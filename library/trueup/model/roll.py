@@ -63,10 +63,12 @@ def _compiled(form: Form, on: NDArray[np.uint8], of: RolloutOf) -> Array:
     joints, lanes = len(s.u_scale), of.p.shape[1]
     out = np.empty((len(s.t_s), 2 * joints, lanes))
     observed = np.where(s.usable, s.observed, np.nan) if gains is not None else s.observed
-    followed = np.zeros((1, joints, 4, 2, FILTERS))
-    if gains is not None:  # filters that nobody asked for are like the last one
-        followed = np.take(gains, np.minimum(np.arange(FILTERS), gains.shape[-1] - 1), axis=-1)
-        followed = np.ascontiguousarray(followed)
+    # filters that nobody asked for are like the last one
+    followed = (
+        np.zeros((1, joints, 4, 2, FILTERS))
+        if gains is None
+        else np.take(gains, np.minimum(np.arange(FILTERS), gains.shape[-1] - 1), axis=-1)
+    )
     for first in range(0, lanes, BLOCK):
         some = slice(first, first + BLOCK)
         part = out if lanes == BLOCK else np.empty((len(s.t_s), 2 * joints, BLOCK))
