@@ -7,7 +7,7 @@ import base64
 import hashlib
 import os
 import uuid
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from io import FileIO
 from pathlib import Path
@@ -62,20 +62,19 @@ async def _receive(
 ) -> tuple[str, int]:
     """Write the body to a file. Returns its digest and size. While one part is hashed and written
     in a thread, the next one is received."""
-    gathered: list[bytes] = []
-    under_way, size, waiting = None, 0, 0
+    gathered, under_way, size = bytearray(), None, 0
     with path.open("xb", buffering=0) as file:
         sink = _Sink(file)
         try:
             async for part in request.stream():
-                gathered.append(part)
-                size, waiting = size + len(part), waiting + len(part)
+                gathered += part
+                size += len(part)
                 allow(size, limit_bytes, hint)
-                if waiting >= PART_BYTES:
+                if len(gathered) >= PART_BYTES:
                     if under_way is not None:
                         await under_way
                     under_way = asyncio.create_task(run_in_threadpool(sink.take, gathered))
-                    gathered, waiting = [], 0
+                    gathered = bytearray()
         except ClientDisconnect as error:
             raise BadRequest(
                 "the connection closed before the body was whole", hint="Send it again."
@@ -94,11 +93,10 @@ class _Sink:
         self.hashed = hashlib.sha256()
         self._file, self._unsynced = file, 0
 
-    def take(self, parts: Sequence[bytes]) -> None:
-        for part in parts:
-            write_all(self._file, part)
-            self._unsynced += len(part)
-            self.hashed.update(part)
+    def take(self, part: bytearray) -> None:
+        self.hashed.update(part)
+        write_all(self._file, part)
+        self._unsynced += len(part)
         if self._unsynced >= SYNC_BYTES:
             os.fdatasync(self._file.fileno())
             self._unsynced = 0
