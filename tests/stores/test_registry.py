@@ -32,13 +32,6 @@ CONTEXT = ActorContext("tester", "2026-01-01T00:00:00.000000Z")
 
 
 @pytest.fixture
-def parts(storage):
-    found = storage.build()
-    yield found
-    found.close()
-
-
-@pytest.fixture
 def plant(parts):
     with parts.database.write() as connection:
         register_plant(Transaction(connection), plant_document("p"), CONTEXT)

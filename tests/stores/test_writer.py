@@ -20,13 +20,6 @@ from trueup_service.registry.transaction import reading
 CONTEXT = ActorContext("tester", "2026-01-01T00:00:00.000000Z")
 
 
-@pytest.fixture
-def parts(storage):
-    built = storage.build()
-    yield built
-    built.close()
-
-
 def register(name):
     return lambda tx: register_plant(tx, plant_document(name), CONTEXT)[0].name
 
@@ -126,7 +119,8 @@ def test_a_commit_that_fails_fails_all_that_share_it_and_the_next_one_is_as_ever
 
     event.listen(parts.database.engine, "commit", broken)
     ended = at_once(parts, register("second"), failing)
-    assert [type(each) for each in ended] == [OperationalError, OperationalError, Conflict]
+    # a refusal, too, may rest on what the others wrote
+    assert [type(each) for each in ended] == [OperationalError] * 3
     assert plants(parts) == ([], 0)
     assert parts.writer.run(register("next")) == "next"
     assert plants(parts) == (["next"], 1)

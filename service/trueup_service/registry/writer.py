@@ -1,11 +1,11 @@
 """Actions that write, each as if in a transaction of its own.
 
-SQLite has one writer at a time, and a commit takes it as long as a small change does. So one thread
-of the process runs them, and those that wait when it begins share a transaction, a commit and a
-sync to disk, each behind a savepoint: one that fails takes back what it wrote and nothing else, and
-none is answered before the commit. One thread also spares the many the wait for each other at every
-statement. PostgreSQL has many writers and groups their commits itself: there an action runs in its
-caller's thread.
+SQLite has one writer at a time, and of what a small change takes a third is the commit. So one
+thread of the process runs the actions, and those that wait share a transaction, a commit and a sync
+to disk, each behind a savepoint. One that fails takes back what it wrote and nothing else. None is
+answered before the commit, and where that fails all are told so: even a refusal may rest on what
+another one wrote. PostgreSQL has many writers and groups their commits itself: there an action runs
+in a thread of its caller.
 """
 
 from __future__ import annotations
@@ -16,11 +16,13 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import suppress
 from contextvars import Context, copy_context
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from sqlalchemy import Connection
+from sqlalchemy.exc import SQLAlchemyError
 
 from trueup_service.registry.database import Database
 from trueup_service.registry.transaction import Transaction, writing
@@ -101,8 +103,8 @@ class Writer:
 
     def _disconnect(self) -> None:
         if self._connection is not None:
-            self._connection.close()
-            self._connection = None
+            connection, self._connection = self._connection, None
+            connection.close()
 
     def _commit_with_others(self, action: _Action) -> None:
         """Runs an action and those that wait in one transaction."""
@@ -119,9 +121,10 @@ class Writer:
                     if more is not None:
                         ran.append(more)
         except BaseException as error:  # noqa: BLE001  (it is raised where it is waited for)
-            self._disconnect()
             for one in ran:
-                one.fail(error)
+                one.done.set_exception(error)
+            with suppress(SQLAlchemyError):
+                self._disconnect()
         else:
             for one in ran:
                 one.succeed()
@@ -158,7 +161,3 @@ class _Action:
             self.done.set_result(self.returned)
         else:
             self.done.set_exception(self.raised)
-
-    def fail(self, error: BaseException) -> None:
-        """Hands over what the transaction failed at."""
-        self.done.set_exception(self.raised or error)
