@@ -1,5 +1,4 @@
-"""Run an action in a transaction of its own, once for each idempotency key, however often the
-request is sent."""
+"""Actions that are done once for each idempotency key, however often the request is sent."""
 
 from __future__ import annotations
 
@@ -11,7 +10,6 @@ from trueup.canonical import Json, digest_of
 from trueup_service.actor_context import ActorContext
 from trueup_service.errors import KeyReused
 from trueup_service.registry.transaction import Transaction
-from trueup_service.wiring import Parts
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,78 +47,36 @@ def run_once_in(
     return response
 
 
-def run_once(
-    parts: Parts,
-    context: ActorContext,
-    scope: str,
-    key: str | None,
-    request: Json,
-    act: Callable[[Transaction], dict[str, Any]],
-) -> dict[str, Any]:
-    """Run an action in a transaction of its own. Under an idempotency key it runs once, and a
-    repeated request gets the kept response. Raises KeyReused."""
-    return parts.writer.run(_under_key(context, scope, key, request, act))
-
-
-async def run_once_async(
-    parts: Parts,
-    context: ActorContext,
-    scope: str,
-    key: str | None,
-    request: Json,
-    act: Callable[[Transaction], dict[str, Any]],
-) -> dict[str, Any]:
-    """`run_once` from the event loop."""
-    return await parts.writer.run_async(_under_key(context, scope, key, request, act))
-
-
-def create_once(
-    parts: Parts,
-    context: ActorContext,
-    scope: str,
-    key: str | None,
-    request: Json,
-    act: Callable[[Transaction], tuple[Any, bool]],
-) -> Created:
-    """Run an action that returns a record and whether it is new, as `run_once` does. Raises
-    KeyReused."""
-    return _created(run_once(parts, context, scope, key, request, _as_document(act)))
-
-
-async def create_once_async(
-    parts: Parts,
-    context: ActorContext,
-    scope: str,
-    key: str | None,
-    request: Json,
-    act: Callable[[Transaction], tuple[Any, bool]],
-) -> Created:
-    """`create_once` from the event loop."""
-    return _created(await run_once_async(parts, context, scope, key, request, _as_document(act)))
-
-
-def _under_key(
+def once(
     context: ActorContext,
     scope: str,
     key: str | None,
     request: Json,
     act: Callable[[Transaction], dict[str, Any]],
 ) -> Callable[[Transaction], dict[str, Any]]:
+    """An action that under an idempotency key is done once: a repeated request gets the kept
+    response. It raises KeyReused, and what `act` raises."""
     if key is None:
         return act
     unique = IdempotencyKey(f"{scope}@{context.token}", key, digest_of(request))
     return lambda tx: run_once_in(tx, unique, context.now, lambda: act(tx))
 
 
-def _as_document(
+def created_once(
+    context: ActorContext,
+    scope: str,
+    key: str | None,
+    request: Json,
     act: Callable[[Transaction], tuple[Any, bool]],
-) -> Callable[[Transaction], dict[str, Any]]:
-    def run(tx: Transaction) -> dict[str, Any]:
+) -> Callable[[Transaction], Created]:
+    """An action as of `once`, whose `act` returns a record and whether it is new."""
+
+    def document(tx: Transaction) -> dict[str, Any]:
         record, is_new = act(tx)
         return {"record": asdict(record), "new": is_new}
 
-    return run
+    def created(tx: Transaction) -> Created:
+        response = once(context, scope, key, request, document)(tx)
+        return Created(response["record"], response["new"])
 
-
-def _created(response: dict[str, Any]) -> Created:
-    return Created(response["record"], response["new"])
+    return created

@@ -13,7 +13,7 @@ from trueup.canonical import Json
 from trueup.episode.role import WATCHED
 from trueup_service.actions import find
 from trueup_service.actions.continue_cycle import Cycle
-from trueup_service.actions.idempotency import Created, create_once
+from trueup_service.actions.idempotency import Created, created_once
 from trueup_service.actor_context import ActorContext
 from trueup_service.inspection import Inspected, PlantContext
 from trueup_service.registry.records import EpisodeRecord
@@ -69,7 +69,9 @@ def ingest(
             Cycle(tx, parts.queue, lambda: uuid.uuid4().hex, context).go_on(plant)
         return record, is_new
 
-    created = create_once(parts, context, f"episodes/{plant}", key, {"digest": file.digest}, act)
+    created = parts.writer.run(
+        created_once(context, f"episodes/{plant}", key, {"digest": file.digest}, act)
+    )
     if not parts.blobs.holds(file.digest):
         # Garbage collection took the bytes before the row that names them was there.
         parts.blobs.put(file.digest, file.path)

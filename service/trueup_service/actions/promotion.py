@@ -2,7 +2,8 @@
 
 The way back is rehearsed before the pointer moves, outside any transaction, since that reads
 models: of a promotion already when its candidate is accepted, so that nobody waits for it. Then the
-pointer moves, if it still stands where the rehearsal found it.
+pointer moves, if it still stands where the rehearsal found it, and where that was recorded, if the
+record still holds.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import asyncio
 import math
 import uuid
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -21,7 +22,7 @@ from trueup_service.actions import find
 from trueup_service.actions.approve import require_approvals
 from trueup_service.actions.continue_cycle import Cycle
 from trueup_service.actions.gate_line import DECIDED
-from trueup_service.actions.idempotency import run_once, run_once_async
+from trueup_service.actions.idempotency import once
 from trueup_service.actions.move_pointer import (
     Older,
     chosen_position,
@@ -54,30 +55,28 @@ async def promote(
     KeyReused.
     """
 
-    def run(rehearse: Callable[[ReadTransaction], dict[str, Json]]) -> Awaitable[dict[str, Any]]:
-        def act(tx: Transaction) -> dict[str, Any]:
-            approvals: list[Json] = require_approvals(tx, plant, decision, context)
-            approved: dict[str, Json] = {"approved_by": approvals}
-            rehearsed = rehearse(tx)
-            move = promote_decision(
-                tx, plant, decision, expected_generation, rehearsed, context, approved
-            )
-            return _moved(parts, tx, move, context)
-
-        request: Json = {"decision": decision, "expected_generation": expected_generation}
-        return run_once_async(parts, context, f"promote/{plant}", key, request, act)
-
-    def recorded(tx: ReadTransaction) -> dict[str, Json]:
-        rehearsed = _recorded_rehearsal(parts.blobs, tx, plant, decision, SMALL_BYTES)
+    def move(tx: Transaction, rehearsed: dict[str, Json] | None) -> dict[str, Any]:
+        approvals: list[Json] = require_approvals(tx, plant, decision, context)
+        approved: dict[str, Json] = {"approved_by": approvals}
+        if rehearsed is None:
+            rehearsed = _recorded_rehearsal(parts.blobs, tx, plant, decision, SMALL_BYTES)
         if rehearsed is None:
             raise _NotRehearsedError
-        return rehearsed
+        moved = promote_decision(
+            tx, plant, decision, expected_generation, rehearsed, context, approved
+        )
+        return _moved(parts, tx, moved, context)
+
+    def moving(rehearsed: dict[str, Json] | None) -> Callable[[Transaction], dict[str, Any]]:
+        request: Json = {"decision": decision, "expected_generation": expected_generation}
+        scope = f"promote/{plant}"
+        return once(context, scope, key, request, lambda tx: move(tx, rehearsed))
 
     try:
-        return await run(recorded)
+        return await parts.writer.run_async(moving(None))
     except _NotRehearsedError:
         rehearsed = await asyncio.to_thread(_rehearse, parts, context, plant, decision)
-        return await run(lambda _: rehearsed)
+        return await parts.writer.run_async(moving(rehearsed))
 
 
 def roll_back(
@@ -108,7 +107,7 @@ def roll_back(
     request: dict[str, Json] = {"expected_generation": expected_generation}
     if to_generation is not None:
         request["to_generation"] = to_generation
-    return run_once(parts, context, f"rollback/{plant}", key, request, act)
+    return parts.writer.run(once(context, f"rollback/{plant}", key, request, act))
 
 
 def rehearse_way_back(

@@ -12,7 +12,7 @@ from pydantic import BaseModel
 
 from trueup.canonical import Json
 from trueup.ledger.person import actor_of
-from trueup_service.actions.idempotency import Created, create_once, create_once_async
+from trueup_service.actions.idempotency import Created, created_once
 from trueup_service.actor_context import ActorContext, time_text
 from trueup_service.authentication import Principal
 from trueup_service.control_characters import control_character
@@ -89,19 +89,6 @@ def created(result: Created, kind: type[BaseModel]) -> Response:
     )
 
 
-async def create_async(
-    parts: Parts,
-    context: ActorContext,
-    scope: str,
-    key: str | None,
-    request: Json,
-    act: Callable[[Transaction], tuple[Any, bool]],
-    kind: type[BaseModel],
-) -> Response:
-    """`create` from the event loop."""
-    return created(await create_once_async(parts, context, scope, key, request, act), kind)
-
-
 def create(
     parts: Parts,
     context: ActorContext,
@@ -113,7 +100,7 @@ def create(
 ) -> Response:
     """Run an action that returns a record and whether it is new, once under its idempotency key,
     and respond with the record as `kind`."""
-    return created(create_once(parts, context, scope, key, request, act), kind)
+    return created(parts.writer.run(created_once(context, scope, key, request, act)), kind)
 
 
 def inspector_of(request: Request) -> Inspector:

@@ -30,6 +30,12 @@ class Guarded(APIRoute):
         NotFound."""
         if scope["method"] in (self.methods or ()):
             await authorise(Request(scope), self.path)
+            await self.answer(scope, receive, send)
+        else:
+            await super().handle(scope, receive, send)
+
+    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer an authorised caller."""
         await super().handle(scope, receive, send)
 
 

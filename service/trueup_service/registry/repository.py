@@ -88,8 +88,9 @@ class TableGateway:
         others: Mapping[str, Any] = MappingProxyType({}),
     ) -> Iterator[Any]:
         """The rows of a query whose parameter `name` takes a list, which may be longer than one
-        statement can name. A row may come once for each part."""
-        for begin in range(0, max(len(values), 1), IN_CLAUSE):
+        statement can name. With `others`, for its other parameters, a row may come once for each
+        part of the list, and the query is also run where the list is empty."""
+        for begin in range(0, max(len(values), bool(others)), IN_CLAUSE):
             part = {name: list(values[begin : begin + IN_CLAUSE])}
             yield from self.connection.execute(query, {**others, **part})
 

@@ -13,6 +13,7 @@ from trueup.canonical import Json, digest_of_bytes, is_digest
 from trueup.errors import BadArtifact, BrokenChain
 from trueup.ledger.provenance import PAYLOAD_TYPE, of_artifact
 from trueup_service.actions import find
+from trueup_service.actions.idempotency import created_once
 from trueup_service.actions.ingestion import ReceivedFile
 from trueup_service.actor_context import ActorContext
 from trueup_service.errors import CannotBeDeleted, DigestMismatch, NotFound
@@ -23,7 +24,7 @@ from trueup_service.http.dependencies import (
     PlantName,
     RequestContext,
     RequestParts,
-    create_async,
+    created,
     inspector_of,
 )
 from trueup_service.http.direct import direct
@@ -117,10 +118,12 @@ async def add(
         artifact = await run_in_threadpool(_read, manifest)
     else:
         artifact = _read(manifest)
-    if artifact.document.get("arrays") is None:
+    named = artifact.document.get("arrays")
+    digest = named.get("sha256") if isinstance(named, dict) else None
+    if digest is None:
         await inspector_of(request).try_artifact(manifest, None)
         return await _add(parts, context, plant, artifact, key)
-    arrays = await run_in_threadpool(_arrays, parts, artifact)
+    arrays = await run_in_threadpool(_uploaded, parts, digest)
     async with contextmanager_in_threadpool(parts.blobs.local_copy(arrays, parts.spool)) as path:
         await inspector_of(request).try_artifact(manifest, path)
         answer = await _add(parts, context, plant, artifact, key)
@@ -136,11 +139,9 @@ def _read(manifest: bytes) -> Bytes:
     return Bytes.of(manifest, lambda _: b"")
 
 
-def _arrays(parts: Parts, artifact: Bytes) -> str:
-    """The digest of the arrays that an artifact names, which must have been uploaded before. Raises
-    BadArtifact, TooLargeUpload."""
-    named = artifact.document.get("arrays")
-    digest = named.get("sha256") if isinstance(named, dict) else None
+def _uploaded(parts: Parts, digest: Json) -> str:
+    """The digest of arrays, which must have been uploaded before. Raises BadArtifact,
+    TooLargeUpload."""
     if not isinstance(digest, str) or not is_digest(digest) or not parts.blobs.holds(digest):
         raise BadArtifact(
             "the arrays that the manifest names are not here",
@@ -156,16 +157,14 @@ async def _add(
 ) -> Response:
     from trueup_service.actions.add_artifact import add_artifact  # noqa: PLC0415
 
-    request: Json = {"digest": artifact.digest}
-    return await create_async(
-        parts,
+    added = created_once(
         context,
         f"artifacts/{plant}",
         key,
-        request,
+        {"digest": artifact.digest},
         lambda tx: add_artifact(tx, plant, artifact, None, context),
-        Artifact,
     )
+    return created(await parts.writer.run_async(added), Artifact)
 
 
 @router.get("/plants/{plant}/artifacts", summary="List versions")

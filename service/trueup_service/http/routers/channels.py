@@ -6,12 +6,11 @@ from dataclasses import asdict
 from typing import Annotated, Any
 
 from fastapi import Body, Path, Query, Request, Response
-from starlette.concurrency import run_in_threadpool
 
 from trueup_service.actions import find
 from trueup_service.actions.add_evidence import add_evidence
 from trueup_service.actions.channels import declare_channel, move_channel
-from trueup_service.actions.idempotency import run_once
+from trueup_service.actions.idempotency import once
 from trueup_service.http.dependencies import (
     Digest,
     IdempotencyKey,
@@ -171,8 +170,7 @@ async def move(
             move_channel(tx, plant, channel, wanted.artifact, wanted.expected_generation, context)
         )
 
-    moved = await run_in_threadpool(
-        run_once, parts, context, f"channels/{plant}/{channel}", key, wanted.model_dump(), act
-    )
+    scope = f"channels/{plant}/{channel}"
+    moved = await parts.writer.run_async(once(context, scope, key, wanted.model_dump(), act))
     request.app.state.answers.wake()
     return ChannelPosition(**moved)

@@ -9,7 +9,7 @@ from fastapi import Path, Query
 
 from trueup_service.actions import find
 from trueup_service.actions.alarms import close_alarm
-from trueup_service.actions.idempotency import run_once
+from trueup_service.actions.idempotency import once
 from trueup_service.actor_context import END_OF_TIME
 from trueup_service.http.dependencies import (
     BeforeTime,
@@ -116,12 +116,13 @@ def close(
     key: IdempotencyKey = None,
 ) -> Alarm:
     """After that the next alarm may be raised."""
-    closed = run_once(
-        parts,
-        context,
-        f"alarms/{alarm}",
-        key,
-        closing.model_dump(),
-        lambda w: asdict(close_alarm(w, plant, alarm, closing.because, context)),
+    closed = parts.writer.run(
+        once(
+            context,
+            f"alarms/{alarm}",
+            key,
+            closing.model_dump(),
+            lambda tx: asdict(close_alarm(tx, plant, alarm, closing.because, context)),
+        )
     )
     return Alarm(**closed)
