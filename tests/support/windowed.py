@@ -5,8 +5,9 @@ import numpy as np
 from trueup.model.block import BLOCK, FILTERS
 from trueup.model.effect import effects
 from trueup.model.hypothesis import begun, switches
-from trueup.model.roll import roll_each
-from trueup.model.series import RolloutOf, Scheme, Series, integral_of
+from trueup.model.roll import roll_parts
+from trueup.model.series import Scheme, Series, integral_of
+from trueup.model.stack import RolloutOf, Stack
 
 FOLLOWING = 2  # lanes that begin each window with what the first remembers
 
@@ -35,7 +36,7 @@ def rolled(form, parameters, hypothesis, s, sizes, gain=None, moved=()):
     filter and in the one that starts windows from it."""
     of = asked(form, parameters, hypothesis, s, sizes, gain, moved)
     on = switches(hypothesis, form.block.joints)
-    (out,) = roll_each(form, on, [of], lambda _, out: out)
+    (out,) = roll_parts(form, on, of, lambda _, out: out)
     return out if gain is None else out[:, :, [0, FILTERS]]
 
 
@@ -59,5 +60,13 @@ def asked(form, parameters, hypothesis, s, sizes, gain=None, moved=()):
         for key, row in block.memories.items():
             p[row, 6] += 0.1 if key[0] in hypothesis.effects else 0.0
     if gain is None:
-        return RolloutOf(s, p, init, starts=FOLLOWING)
-    return RolloutOf(s, p, init, gain[..., None])
+        return RolloutOf(Stack.of([s]), p[None], init, starts=FOLLOWING)
+    return RolloutOf(Stack.of([s]), p[None], init[:1], gain[..., None])
+
+
+def together(each):
+    """Returns what is asked of several stacks as asked of one."""
+    first = each[0]
+    stack = Stack.of([s for of in each for s in of.stack])
+    p, init = (np.concatenate([getattr(of, name) for of in each]) for name in ("p", "init"))
+    return RolloutOf(stack, p, init, first.gains, first.starts)

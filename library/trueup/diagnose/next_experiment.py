@@ -254,8 +254,8 @@ def _predicted(search: Search, candidate: Candidate, s: Series, *, jacobian: boo
     lanes = -(-(1 + n + states) // BLOCK) * BLOCK
     p = np.repeat(fit.values[:, None], lanes, axis=1)
     init = np.repeat(s.begin[:, :, None], lanes, axis=2)
-    for lane in range(n):
-        fit.free.nudge(p[:, lane + 1], lane, fit.free.step[lane])
+    numbers = np.arange(n)
+    fit.free.nudge(p, 1 + numbers, numbers, fit.free.step[:n])
     for state in range(states if jacobian else 0):
         init[0, state, n + 1 + state] += fitter.start_steps[state]
     out = roll(s, fitter.form, p, switches(fit.hypothesis, fitter.joints), init)

@@ -41,6 +41,7 @@ from trueup.model.effect import Port, effects
 from trueup.model.plant import Plant
 from trueup.model.rounding import GUESS_BITS, rounded
 from trueup.model.series import Scheme, Series, mergeable, series
+from trueup.model.stack import Stack
 
 
 @dataclass(frozen=True)
@@ -197,11 +198,17 @@ class Setup:
             self.quality.correlation,
             held=self.recordings.strategy.held_starts,
         )
+
+        def stacked(episodes: Sequence[Episode]) -> Stack:
+            return Stack.of(
+                [series(plant, e, self.scheme, length_s, merged=self.merged) for e in episodes]
+            )
+
         return WindowedFits(
             fitter,
             self.recordings.strategy,
-            [series(plant, e, self.scheme, length_s, merged=self.merged) for e in adaptation],
-            [series(plant, e, self.scheme, length_s, merged=self.merged) for e in validation],
+            stacked(adaptation),
+            stacked(validation),
             length_s,
         )
 
@@ -239,7 +246,9 @@ class Setup:
             short_s = min(short_s, fits.length_s)
         return SearchProblem(
             fits,
-            [series(plant, e, fits.scheme, short_s, merged=self.merged) for e in screened],
+            Stack.of(
+                [series(plant, e, fits.scheme, short_s, merged=self.merged) for e in screened]
+            ),
             base,
             plant.parameters,
             {t: guesses for t, (guesses, _) in periodic.items()},

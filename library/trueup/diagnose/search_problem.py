@@ -20,10 +20,10 @@ from trueup.diagnose.spatial_periods import PeriodicGuess
 from trueup.diagnose.strategy import Strategy
 from trueup.diagnose.tuning import SEARCH
 from trueup.diagnose.windowed_fits import Numbers, WindowedFits, is_worth_it, observed_starts
+from trueup.fit.errors import KeptDerivatives
 from trueup.fit.fitter import Fitter
 from trueup.fit.multiple_shooting import estimate_starts
 from trueup.fit.rollout_fit import RolloutFit
-from trueup.fit.rollouts import Derivatives
 from trueup.fit.screening import Screening, screen
 from trueup.model.block import kind
 from trueup.model.hypothesis import Hypothesis
@@ -37,7 +37,7 @@ class ShortFit:
 
     parent: RolloutFit
     fit: RolloutFit
-    derivatives: Derivatives | None
+    derivatives: KeptDerivatives | None
     screened: dict[str, Screening]
 
 

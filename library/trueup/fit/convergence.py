@@ -117,10 +117,7 @@ def converge(
             else part * min(1.0, FURTHEST / best.distance) * best.step
         )
         tried = free.moved(values, step)
-        led = {
-            key: starts[key].moved(*by, best.around.states)
-            for key, by in best.around.equations.moves_with(step).items()
-        }
+        led = best.around.moved(starts, step)
         there = _starts_at_rest(fitter, data, fit, tried, best.cost, led, starts)
         after = _examined(fitter, data, fit, tried, there, best.free)
         if after.cost > best.cost + SLACK * best.cost / fit.samples:
@@ -145,7 +142,7 @@ def converge(
         free=free,
         starts=starts,
         cost=equations.cost,
-        costs=np.concatenate([g[:, 0, 0] for g in equations.parts.values()]),
+        costs=equations.sums[:, 0, 0].copy(),
         information=best.normal,
         scores=equations.reduced_with_scores()[1],
         converged=best.distance <= PROVEN,

@@ -8,10 +8,11 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from trueup.fit.errors import KeptDerivatives
 from trueup.fit.free_numbers import Directions
 from trueup.fit.levenberg_marquardt import End, Objective, begin, minimise
 from trueup.fit.rollout_fit import RolloutFit, Start
-from trueup.fit.rollouts import Derivatives, Rollouts
+from trueup.fit.rollouts import Rollouts
 from trueup.model.dynamics import CompiledFamily
 from trueup.model.effect import effects
 from trueup.model.family import families
@@ -34,7 +35,7 @@ class Fitter(Rollouts):
         iterations: int = 12,
         fixed: Iterable[tuple[str, str]] = (),
         tolerance: float = 1e-4,
-        derivatives: Derivatives | None = None,
+        derivatives: KeptDerivatives | None = None,
     ) -> RolloutFit:
         """The fit from the block's vector `values`, with `fixed` numbers (term, name) at theirs.
 
@@ -47,7 +48,7 @@ class Fitter(Rollouts):
         first = begin(objective, values, self.initial_starts(starts, data, hypothesis), derivatives)
         last = minimise(objective, first, iterations, tolerance)
         n, equations = len(task.free.rows), last.equations
-        costs = np.concatenate([g[:, 0, 0] for g in equations.parts.values()])
+        costs = equations.sums[:, 0, 0].copy()
         information, scores = np.zeros((n, n)), np.zeros((len(costs), n))
         if np.isfinite(equations.cost):
             information, scores = equations.reduced_with_scores()
@@ -64,9 +65,9 @@ class Fitter(Rollouts):
             scores,
         )
 
-    def derivatives_of(self, data: Sequence[Series], fit: RolloutFit) -> Derivatives | None:
-        """The derivatives of a fit that fits nearby may begin with, by episode digest; None where
-        all of them take one block anyway."""
+    def derivatives_of(self, data: Sequence[Series], fit: RolloutFit) -> KeptDerivatives | None:
+        """The derivatives of a fit that fits nearby may begin with; None where all of them take one
+        block anyway."""
         task = self.task(data, fit.hypothesis, self.free(fit.hypothesis))
         return self.evaluate(task, fit.values, fit.starts)[1] if task.keeps else None
 

@@ -63,8 +63,15 @@ class Free:
     along: Array
     central: bool = False  # whether differences are taken on both sides
 
+    @property
+    def alone(self) -> bool:
+        """Whether each moves a number of its own, and none is a combination."""
+        return bool((self.rows >= 0).all())
+
     def at(self, values: Array) -> Array:
         """Their values, `(free,)`; those of combinations up to a constant."""
+        if self.alone:
+            return np.asarray(values[self.rows])
         over = np.maximum(np.einsum("fr,fr->f", self.along, self.along), 1e-300)
         return np.asarray(
             np.where(
@@ -74,20 +81,28 @@ class Free:
 
     def moved(self, values: Array, by: Array) -> Array:
         """The block's vector after steps `(free,)`, no further than to a bound."""
-        alone = self.rows >= 0
         after = values.copy()
+        if self.alone:
+            after[self.rows] = np.clip(values[self.rows] + by, self.low, self.high)
+            return np.asarray(after)
+        alone = self.rows >= 0
         after[: self.along.shape[1]] += np.where(alone, 0.0, by) @ self.along
         after[self.rows[alone]] = np.clip(
             values[self.rows[alone]] + by[alone], self.low[alone], self.high[alone]
         )
         return np.asarray(after)
 
-    def nudge(self, values: Array, which: int, by: float) -> None:
-        """Move one of them, in place and past its bounds."""
-        if self.rows[which] >= 0:
-            values[self.rows[which]] += by
-        else:
-            values[: self.along.shape[1]] += by * self.along[which]
+    def nudge(
+        self, p: Array, lanes: NDArray[np.int64], which: NDArray[np.int64], by: Array
+    ) -> None:
+        """Move some of them by steps `(some,)`, each in a lane of its own of vectors `p` `(rows,
+        lanes)`, in place and past its bounds."""
+        rows = self.rows[which]
+        alone, combined = np.flatnonzero(rows >= 0), np.flatnonzero(rows < 0)
+        p[rows[alone], lanes[alone]] += by[alone]
+        if len(combined):
+            ways = self.along[which[combined]].T
+            p[: self.along.shape[1], lanes[combined]] += by[combined] * ways
 
     def none(self) -> Free:
         """Nothing free."""

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trueup.fit.free_numbers import Free
+from trueup.fit.normal_equations import Moves
 from trueup.fit.rollout_fit import Start
 from trueup.model.block import Block
 from trueup.model.hypothesis import Hypothesis
-from trueup.model.series import RolloutOf, Series
+from trueup.model.stack import RolloutOf, Stack
 
 Array = NDArray[np.float64]
 
@@ -25,11 +26,21 @@ class Task:
     numbers may be kept from one step to the next.
     """
 
-    data: Sequence[Series]
+    stack: Stack
     hypothesis: Hypothesis
     free: Free
     states: tuple[tuple[str, str], ...]
     keeps: int
+
+    def moved(self, starts: Mapping[str, Start], moves: Moves) -> dict[str, Start]:
+        """Where windows start after steps of starts and memories."""
+        windows, memories = moves
+        return {
+            digest: starts[digest].moved(by, memory, self.states)
+            for digest, by, memory in zip(
+                self.stack.digests, self.stack.split(windows), memories, strict=True
+            )
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,50 +60,59 @@ class Lanes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaidOut:
-    """An episode's lanes: its parameter vectors `p` `(rows, lanes)`, the inverse of each lane's
-    step `(lanes,)`, from where windows start `(windows, 2 x joints, lanes)`, and by which `steps`
-    `(windows, 2 x joints)` lanes of starts differ, which may be the episode's own."""
+    """The lanes of each episode: parameter vectors `p` `(episodes, rows, lanes)`, the inverse of
+    each lane's step `(episodes, lanes)`, from where windows start `(windows, 2 x joints, lanes)`,
+    and by which `steps` `(windows, 2 x joints)` lanes of starts differ, None where by the usual
+    ones."""
 
-    series: Series
     p: Array
     inverse: Array
     init: Array
-    steps: Array
-    own_steps: bool
-    starts: int
+    steps: Array | None
 
     @staticmethod
     def of(
         lanes: Lanes,
-        s: Series,
-        start: Start,
+        stack: Stack,
+        starts: Mapping[str, Start],
         pasts: Mapping[tuple[str, str], tuple[int, float]],
         block: Block,
         usual: Array,
         keeps: int,
     ) -> LaidOut:
-        """The lanes of an episode: its own hidden states' past, and from where its windows start.
+        """The lanes of each episode: its own hidden states' past, and from where its windows start.
 
         `pasts` are the lanes and steps of hidden states' derivatives; `usual` `(2 x joints,)` the
-        steps of starts, which are the episode's own where no derivatives are kept.
+        steps of starts, which are an episode's own where no derivatives are kept.
         """
-        p, inverse = lanes.p.copy(), lanes.inverse.copy()
-        for key, value in start.memory.items():
-            p[block.memories[key]] += value
-        for key, (lane, size) in pasts.items():
-            inwards = -size if start.memory.get(key, 0.0) > 0.0 else size
-            p[block.memories[key], lane] += inwards
-            inverse[lane] = 1.0 / inwards
-        init = np.repeat(start.windows[:, :, None], p.shape[1], axis=2)
-        own = None if keeps else start.steps
-        steps = np.broadcast_to(usual, start.windows.shape) if own is None else own
-        return LaidOut(s, p, inverse, init, steps, own is not None, lanes.starts)
+        begins = [starts[digest] for digest in stack.digests]
+        p = np.repeat(lanes.p[None], len(begins), axis=0)
+        inverse = np.repeat(lanes.inverse[None], len(begins), axis=0)
+        for e, start in enumerate(begins):
+            for key, value in start.memory.items():
+                p[e, block.memories[key]] += value
+            for key, (lane, size) in pasts.items():
+                inwards = -size if start.memory.get(key, 0.0) > 0.0 else size
+                p[e, block.memories[key], lane] += inwards
+                inverse[e, lane] = 1.0 / inwards
+        windows = np.concatenate([start.windows for start in begins])
+        init = np.repeat(windows[:, :, None], p.shape[2], axis=2)
+        steps = None
+        if not keeps and any(start.steps is not None for start in begins):
+            steps = np.concatenate(
+                [
+                    np.broadcast_to(usual, start.windows.shape)
+                    if start.steps is None
+                    else start.steps
+                    for start in begins
+                ]
+            )
+        return LaidOut(p, inverse, init, steps)
 
-    def rollout(self, from_starts: bool) -> RolloutOf:
-        """The rollout of these lanes, with lanes of starts, or with none."""
-        if not from_starts:
-            return RolloutOf(self.series, self.p, self.init)
-        init = self.init.copy()
-        for state in range(self.starts):
-            init[:, state, 1 + state] += self.steps[:, state]
-        return RolloutOf(self.series, self.p, init, starts=self.starts)
+    def rollout(self, stack: Stack, usual: Array, starts: int) -> RolloutOf:
+        """The rollout of these lanes, with so many lanes of `starts`."""
+        init = self.init
+        if starts:
+            init, at = init.copy(), np.arange(starts)
+            init[:, at, 1 + at] += usual[:starts] if self.steps is None else self.steps[:, :starts]
+        return RolloutOf(stack, self.p, init, starts=starts)

@@ -16,10 +16,11 @@ from enum import Enum, auto
 import numpy as np
 from numpy.typing import NDArray
 
+from trueup.fit.errors import KeptDerivatives
 from trueup.fit.lanes import Task
 from trueup.fit.normal_equations import NormalEquations
 from trueup.fit.rollout_fit import Start
-from trueup.fit.rollouts import Derivatives, Rollouts
+from trueup.fit.rollouts import Rollouts
 
 Array = NDArray[np.float64]
 DAMPING = 1e-3  # of the normal equations' diagonal, at the beginning
@@ -57,7 +58,7 @@ class Objective:
     def of(rollouts: Rollouts, task: Task) -> Objective:
         """The objective of a task."""
         weight, centre = rollouts.expected(task.free)
-        return Objective(rollouts, task, rollouts.samples(task.data), weight, centre)
+        return Objective(rollouts, task, rollouts.samples(task.stack.series), weight, centre)
 
     def prior(self, cost: float) -> Array:
         """Diagonal of the prior's normal matrix `(free,)` at a cost."""
@@ -77,7 +78,7 @@ class State:
     values: Array
     starts: Mapping[str, Start]
     equations: NormalEquations
-    derivatives: Derivatives | None
+    derivatives: KeptDerivatives | None
     stale: bool
     damping: float = DAMPING
     astray: bool = False
@@ -88,7 +89,7 @@ def begin(
     objective: Objective,
     values: Array,
     starts: Mapping[str, Start],
-    derivatives: Derivatives | None = None,
+    derivatives: KeptDerivatives | None = None,
 ) -> State:
     """The state at a first place, with derivatives of a fit nearby where they are given."""
     stale = derivatives is not None and objective.task.keeps > 0
@@ -120,7 +121,7 @@ def step(objective: Objective, state: State, tolerance: float) -> State:
         fresh = renewed(objective, state) if state.stale and tolerance < ROUGH else None
         return fresh or replace(state, end=End.CONVERGED)
     values = task.free.moved(state.values, by)
-    starts = {key: state.starts[key].moved(*move, task.states) for key, move in moves.items()}
+    starts = task.moved(state.starts, moves)
     equations, kept = objective.rollouts.evaluate(task, values, starts, state.derivatives)
     there = task.free.at(values)
     nearer = (at - objective.centre) ** 2 - (there - objective.centre) ** 2

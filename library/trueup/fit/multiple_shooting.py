@@ -20,9 +20,10 @@ from trueup.fit.rollout_fit import TWO_SIDED, RolloutFit, Start
 from trueup.fit.rollouts import START_STEP, Rollouts
 from trueup.model.block import BLOCK
 from trueup.model.hypothesis import Hypothesis, switches
-from trueup.model.roll import roll_each
+from trueup.model.roll import roll_parts
 from trueup.model.rounding import rounded
-from trueup.model.series import RolloutOf, Series
+from trueup.model.series import Series
+from trueup.model.stack import Part, RolloutOf, Stack
 
 Array = NDArray[np.float64]
 TOLERANCE = 1e-4  # of the cost: a smaller decrease ends the estimate
@@ -52,37 +53,36 @@ def estimate_starts(
     task = rollouts.task(data, hypothesis, rollouts.free(hypothesis).none())
     now, converged = rollouts.initial_starts(starts, data, hypothesis), False
     best, _ = rollouts.evaluate(task, values, now)
-    samples = rollouts.samples(data)
-    damping = {key: np.full(len(g), 1e-3) for key, g in best.parts.items()}
+    samples, stack = rollouts.samples(data), task.stack
+    damping = np.full(len(best.sums), 1e-3)
     for _ in range(iterations):
         moves = best.moves(damping)
-        now = _with_steps(rollouts, now, best, samples) if fine else now
-        tried = {key: now[key].moved(*move, task.states) for key, move in moves.items()}
+        now = _with_steps(rollouts, stack, now, best, samples) if fine else now
+        tried = task.moved(now, moves)
         after, _ = rollouts.evaluate(task, values, tried)
-        better = {
-            key: after.costs(key) <= best.costs(key) * (1.0 + tolerance) + NEGLIGIBLE for key in now
-        }
-        damping = {key: damping[key] * np.where(of, 0.1, 10.0) for key, of in better.items()}
-        if not all(of.all() for of in better.values()):
-            for key, of in better.items():
-                gained = after.cost_of(key) < best.cost_of(key)
+        better = after.window_costs <= best.window_costs * (1.0 + tolerance) + NEGLIGIBLE
+        damping = damping * np.where(better, 0.1, 10.0)
+        if not better.all():
+            gained = after.episode_costs < best.episode_costs
+            for key, of, gains in zip(stack.digests, stack.split(better), gained, strict=True):
                 windows = np.where(of[:, None], tried[key].windows, now[key].windows)
-                memory = tried[key].memory if gained else now[key].memory
+                memory = tried[key].memory if gains else now[key].memory
                 tried[key] = replace(tried[key], windows=windows, memory=memory)
             if rollouts.forgets(hypothesis):
                 after = best.mixed(after, better)
             else:
                 after, _ = rollouts.evaluate(task, values, tried)
         before = best.cost
-        gaining = [key for key in now if after.cost_of(key) < best.cost_of(key)]
-        now = {**now, **{key: tried[key] for key in gaining}}
-        best = best.mixed(after, {key: np.ones(len(better[key]), np.bool_) for key in gaining})
+        gaining = after.episode_costs < best.episode_costs
+        gained_in = dict(zip(stack.digests, gaining, strict=True))
+        now = {key: tried[key] if gained_in[key] else now[key] for key in now}
+        best = best.mixed(after, gaining[stack.episode_of])
         small = not before - best.cost > tolerance * best.cost + NEGLIGIBLE
         settled = bool(np.isfinite(before)) and small
-        converged = settled and all(of.all() for of in better.values())
-        if converged or (not gaining and (settled or not np.isfinite(before))):
+        converged = settled and bool(better.all())
+        if converged or (not gaining.any() and (settled or not np.isfinite(before))):
             break
-    costs = np.concatenate([best.costs(key) for key in now])
+    costs = best.window_costs
     return RolloutFit(
         hypothesis,
         values,
@@ -122,35 +122,35 @@ def best_of_scattered(
         ladder = reach[state] * CLOSER ** np.arange(sizes)
         around = slice(1 + 2 * sizes * i, 1 + 2 * sizes * (i + 1))
         lanes[around, state] = np.concatenate([ladder, -ladder])
-    asked = [
-        RolloutOf(
-            s,
-            rollouts.repeated(values, starts[s.digest]),
-            starts[s.digest].windows[:, :, None] + lanes.T,
-            starts=BLOCK - 1,
-        )
-        for s in data
-    ]
+    stack = Stack.of(data)
+    p = np.stack([rollouts.repeated(values, starts[digest]) for digest in stack.digests])
+    init = np.concatenate([starts[d].windows for d in stack.digests])[:, :, None] + lanes.T
+    asked = RolloutOf(stack, p, init, starts=BLOCK - 1)
+    errors, costs = rollouts.errors(stack, hypothesis, p[-1, :, 0]), np.zeros((len(init), BLOCK))
 
-    def chosen_of(i: int, out: Array) -> Start:
-        s, start = data[i], starts[data[i].digest]
+    def add(part: Part, out: Array) -> None:
         with np.errstate(over="ignore", invalid="ignore"):
-            errors = rollouts.errors(s, hypothesis, asked[i].p[:, 0])
-            costs = errors.costs(out, len(start.windows))
-            costs = np.nan_to_num(costs, nan=RAN_AWAY, posinf=RAN_AWAY)
-        best = np.argmin(rounded(costs), axis=1)
-        of_a_sample = costs[:, 0].sum() / max(rollouts.samples([s]), 1)
-        better = costs[:, 0] - costs.min(axis=1) > max(1.0, of_a_sample)
-        by = np.where(better[:, None], lanes[best], 0.0)
-        return replace(start, windows=start.windows + by)
+            errors.add_costs(part, out, costs)
 
-    on = switches(hypothesis, rollouts.joints)
-    chosen = roll_each(rollouts.form, on, asked, chosen_of)
-    return {s.digest: start for s, start in zip(data, chosen, strict=True)}
+    roll_parts(rollouts.form, switches(hypothesis, rollouts.joints), asked, add)
+    costs = np.nan_to_num(costs, nan=RAN_AWAY, posinf=RAN_AWAY)
+    best = np.argmin(rounded(costs), axis=1)
+    chosen = {}
+    for s, costs_here, best_here in zip(data, stack.split(costs), stack.split(best), strict=True):
+        start, usual = starts[s.digest], costs_here[:, 0]
+        of_a_sample = usual.sum() / max(rollouts.samples([s]), 1)
+        better = usual - costs_here.min(axis=1) > max(1.0, of_a_sample)
+        by = np.where(better[:, None], lanes[best_here], 0.0)
+        chosen[s.digest] = replace(start, windows=start.windows + by)
+    return chosen
 
 
 def _with_steps(
-    rollouts: Rollouts, starts: Mapping[str, Start], equations: NormalEquations, samples: int
+    rollouts: Rollouts,
+    stack: Stack,
+    starts: Mapping[str, Start],
+    equations: NormalEquations,
+    samples: int,
 ) -> dict[str, Start]:
     """Starts with difference steps that are half a half-width of each by itself, no longer than the
     usual ones."""
@@ -158,9 +158,7 @@ def _with_steps(
         return dict(starts)
     half = SWING * TWO_SIDED * np.sqrt(max(equations.cost / samples, 1.0))
     longest = rollouts.start_steps
-    wide = {}
-    for key, start in starts.items():
-        power = np.diagonal(equations.parts[key], axis1=1, axis2=2)[:, -2 * rollouts.joints :]
-        steps = np.clip(half / np.sqrt(np.maximum(power, NOTHING)), FINEST * longest, longest)
-        wide[key] = replace(start, steps=np.asarray(rounded(steps)))
-    return wide
+    power = np.diagonal(equations.sums, axis1=1, axis2=2)[:, -2 * rollouts.joints :]
+    steps = np.clip(half / np.sqrt(np.maximum(power, NOTHING)), FINEST * longest, longest)
+    by_episode = zip(stack.digests, stack.split(np.asarray(rounded(steps))), strict=True)
+    return {key: replace(starts[key], steps=own) for key, own in by_episode}

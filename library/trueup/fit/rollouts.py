@@ -18,39 +18,44 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from trueup.fit.errors import Errors, KeptDerivatives
 from trueup.fit.free_numbers import CORNER_STEP, STEP, Directions, Free
 from trueup.fit.held_starts import held_starts
 from trueup.fit.lanes import LaidOut, Lanes, Task
-from trueup.fit.normal_equations import Errors, KeptDerivatives, NormalEquations
+from trueup.fit.normal_equations import NormalEquations
 from trueup.fit.rollout_fit import Start
+from trueup.fit.window_sums import WindowSums
 from trueup.model.block import BLOCK, joint, kind
 from trueup.model.dynamics import Form
 from trueup.model.effect import Port, Scale
 from trueup.model.hypothesis import Hypothesis, Scales, begun, switches
-from trueup.model.roll import roll_each
-from trueup.model.series import Series, seen_by
+from trueup.model.roll import roll_parts
+from trueup.model.series import Series
+from trueup.model.stack import Part, Stack
 
 Array = NDArray[np.float64]
 MEMORY_STEP = 1e-3  # of its scale: the finite difference of a hidden state's past
 START_STEP = 1e-3  # of a scale: the finite difference of where a window starts
-
-Derivatives = Mapping[str, KeptDerivatives]  # that are kept, by episode digest
 
 
 @dataclass(frozen=True, slots=True)
 class CentralDifferences:
     """The normal equations at a place by differences on both sides of each free number.
 
-    `states` are the hidden ones whose past is among them. `gradient` `(free,)` is minus half that
+    `task` is what they are of. `gradient` `(free,)` is minus half that
     of the cost with windows' starts fixed, `curvature` half the cost's second difference, nan at a
     bound, and `diagonal` the normal equations' own before starts are eliminated.
     """
 
     equations: NormalEquations
-    states: tuple[tuple[str, str], ...]
+    task: Task
     gradient: Array
     curvature: Array
     diagonal: Array
+
+    def moved(self, starts: Mapping[str, Start], step: Array) -> dict[str, Start]:
+        """Where windows start after what is best for them beside a step of the free numbers."""
+        return self.task.moved(starts, self.equations.moves_with(step))
 
 
 class Rollouts:
@@ -189,10 +194,8 @@ class Rollouts:
 
     def samples(self, data: Sequence[Series]) -> int:
         """Numbers that are compared."""
-        return sum(
-            int((s.usable & (s.window_of >= 0)[:, None] & np.isfinite(self.sigma)).sum())
-            for s in data
-        )
+        s = Stack.of(data)
+        return int((s.usable & (s.window_of >= 0)[:, None] & np.isfinite(self.sigma)).sum())
 
     def task(self, data: Sequence[Series], hypothesis: Hypothesis, free: Free) -> Task:
         """What is fitted: some series by a hypothesis, with the numbers that are free."""
@@ -200,19 +203,27 @@ class Rollouts:
         states = tuple(keys[: max(0, self.room() - len(free.rows))])  # as far as lanes are left
         directions = sum(owner == "" for owner, _ in free.names)
         several = 1 + len(free.rows) + len(states) + 2 * self.joints > BLOCK
-        return Task(data, hypothesis, free, states, directions if several else 0)
+        return Task(Stack.of(data), hypothesis, free, states, directions if several else 0)
 
     def evaluate(
-        self, task: Task, values: Array, starts: Mapping[str, Start], old: Derivatives | None = None
-    ) -> tuple[NormalEquations, Derivatives | None]:
+        self,
+        task: Task,
+        values: Array,
+        starts: Mapping[str, Start],
+        old: KeptDerivatives | None = None,
+    ) -> tuple[NormalEquations, KeptDerivatives | None]:
         """The normal equations at a place, and the derivatives that may be kept of them; given
         `old` derivatives, those are used."""
         lanes = self.lanes(task, values, task.keeps if old else 0, len(task.states))
         return self._equations(task, lanes, starts, old)[:2]
 
     def _equations(
-        self, task: Task, lanes: Lanes, starts: Mapping[str, Start], old: Derivatives | None = None
-    ) -> tuple[NormalEquations, Derivatives | None, Array]:
+        self,
+        task: Task,
+        lanes: Lanes,
+        starts: Mapping[str, Start],
+        old: KeptDerivatives | None = None,
+    ) -> tuple[NormalEquations, KeptDerivatives | None, Array]:
         """The normal equations of lanes laid out, the derivatives that may be kept, and what each
         lane costs by itself where differences are central, `(lanes,)`."""
         scales = np.array(
@@ -223,12 +234,15 @@ class Rollouts:
             key: (lane, MEMORY_STEP * scale)
             for lane, key, scale in zip(at, task.states, scales, strict=True)
         }
-        parts, linear, costs = self.sums(task, lanes, starts, pasts, old)
-        began = {
-            s.digest: np.array([starts[s.digest].memory.get(key, 0.0) for key in task.states])
-            for s in task.data
-        }
-        return NormalEquations(parts, began, scales, len(task.free.rows)), linear, costs
+        sums, kept, costs = self.sums(task, lanes, starts, pasts, old)
+        began = np.array(
+            [
+                [starts[digest].memory.get(key, 0.0) for key in task.states]
+                for digest in task.stack.digests
+            ]
+        ).reshape(len(task.stack.digests), len(task.states))
+        free = len(task.free.rows)
+        return NormalEquations(sums, task.stack.window_ends, began, scales, free), kept, costs
 
     def around(
         self,
@@ -249,10 +263,8 @@ class Rollouts:
         equations, _, costs = self._equations(task, lanes, starts)
         n = len(free.rows)
         if not np.isfinite(equations.cost):
-            return CentralDifferences(equations, task.states, np.zeros(n), np.zeros(n), np.zeros(n))
-        total = np.sum(
-            [g[:, : n + 1, : n + 1].sum(axis=0) for g in equations.parts.values()], axis=0
-        )
+            return CentralDifferences(equations, task, np.zeros(n), np.zeros(n), np.zeros(n))
+        total = equations.sums[:, : n + 1, : n + 1].sum(axis=0)
         up, down, per, sides = (
             costs[lanes.of[:n]],
             costs[lanes.against[:n]],
@@ -261,7 +273,7 @@ class Rollouts:
         )
         return CentralDifferences(
             equations,
-            task.states,
+            task,
             np.where(sides, 0.5 * (down - up) * per, total[0, 1:]),
             np.where(sides, 2.0 * (up + down - 2.0 * total[0, 0]) * per**2, np.nan),
             np.diag(total)[1:],
@@ -273,29 +285,36 @@ class Rollouts:
 
         Parameters of a lane differ from lane 0's by the step of its number.
         """
-        numbers = range(kept, len(task.free.rows))
+        free, moving = task.free, np.arange(kept, len(task.free.rows))
         starts = 0 if kept else 2 * self.joints
-        of = 1 + starts + np.arange(len(numbers) + more)
+        of = 1 + starts + np.arange(len(moving) + more)
         behind = 1 + starts + len(of)
-        count = -(-(behind + len(numbers) * task.free.central) // BLOCK) * BLOCK
+        count = -(-(behind + len(moving) * free.central) // BLOCK) * BLOCK
         p = np.repeat(values[:, None], count, axis=1)
         inverse, against = np.zeros(count), np.zeros(len(of) + starts, np.int64)
-        for i, (lane, which) in enumerate(zip(of, numbers, strict=False)):
-            row, size = task.free.rows[which], task.free.step[which]
-            if 0 <= row < self.block.nominal and not self.of_tree:
-                size = size if task.free.central else max(size, STEP * abs(values[row]))
-            elif row >= 0:
-                size = -size if values[row] + size > task.free.high[which] else size
-            task.free.nudge(p[:, lane], which, size)
-            inverse[lane] = 1.0 / size
-            if task.free.central and (
-                row < 0 or task.free.low[which] <= values[row] - size <= task.free.high[which]
-            ):
-                task.free.nudge(p[:, behind + i], which, -size)
-                inverse[lane], against[i] = 0.5 / size, behind + i
-        free = ~np.isfinite(self.sigma[:starts]) if self.held else np.ones(starts, np.bool_)
-        inverse[1 : 1 + starts] = np.where(free, 1.0 / self.start_steps[:starts], 0.0)
+        steps = self._steps(free, values)[moving]
+        own = of[: len(moving)]
+        free.nudge(p, own, moving, steps)
+        inverse[own] = 1.0 / steps
+        if free.central:
+            behind_them = values[free.rows[moving]] - steps
+            inside = (free.low[moving] <= behind_them) & (behind_them <= free.high[moving])
+            both = inside | (free.rows[moving] < 0)
+            other = behind + np.flatnonzero(both)
+            free.nudge(p, other, moving[both], -steps[both])
+            inverse[own[both]], against[np.flatnonzero(both)] = 0.5 / steps[both], other
+        fixed = np.isfinite(self.sigma[:starts]) & self.held
+        inverse[1 : 1 + starts] = np.where(fixed, 0.0, 1.0 / self.start_steps[:starts])
         return Lanes(p, inverse, of, starts, against)
+
+    def _steps(self, free: Free, values: Array) -> Array:
+        """The steps of differences by free numbers `(free,)`: a parameter's no shorter than what
+        rounding leaves of it, any other's back where it would leave its bounds."""
+        at, alone = values[free.rows], free.rows >= 0
+        of_family = alone & (free.rows < self.block.nominal) & (not self.of_tree)
+        longest = free.step if free.central else np.maximum(free.step, STEP * np.abs(at))
+        back = alone & ~of_family & (at + free.step > free.high)
+        return np.where(of_family, longest, np.where(back, -free.step, free.step))
 
     def sums(
         self,
@@ -303,82 +322,46 @@ class Rollouts:
         lanes: Lanes,
         starts: Mapping[str, Start],
         pasts: Mapping[tuple[str, str], tuple[int, float]],
-        old: Derivatives | None,
-    ) -> tuple[dict[str, Array], Derivatives | None, Array]:
-        """Sums of outer products by episode, the derivatives that may be kept, and what each lane
+        old: KeptDerivatives | None,
+    ) -> tuple[Array, KeptDerivatives | None, Array]:
+        """Sums of outer products by window, the derivatives that may be kept, and what each lane
         costs.
 
         `pasts` are the lanes and steps of hidden states' derivatives: inwards, for beyond its end a
         play has none.
         """
-        several = (lanes.p.shape[1] > BLOCK or self.of_tree) and len(task.data) > 1
-        asked = [
-            LaidOut.of(
-                lanes,
-                s,
-                starts[s.digest],
-                pasts,
-                self.block,
-                usual=self.start_steps,
-                keeps=task.keeps,
-            )
-            for s in task.data
-        ]
-        by_episode = roll_each(
+        stack, usual, several = task.stack, self.start_steps, lanes.p.shape[1] > BLOCK
+        at = LaidOut.of(lanes, stack, starts, pasts, self.block, usual, task.keeps)
+        sums = WindowSums(
+            self.errors(stack, task.hypothesis, lanes.p[:, 0]), lanes, at, task.keeps, old
+        )
+        costs = np.zeros((len(at.init), lanes.p.shape[1] if task.free.central else 0))
+
+        def add(part: Part, out: Array) -> None:
+            sums.add(part, out)
+            if task.free.central:
+                sums.errors.add_costs(part, out, costs)
+
+        roll_parts(
             self.form,
             switches(task.hypothesis, self.joints),
-            [laid_out.rollout(old is None) for laid_out in asked],
-            lambda i, out: self._sums_of(task, lanes, asked[i], out, old),
-            in_threads=several,
+            at.rollout(stack, usual, lanes.starts if old is None else 0),
+            add,
+            in_threads=(several or self.of_tree) and len(stack) > 1,
         )
-        linear = {
-            s.digest: part
-            for s, (_, part, _) in zip(task.data, by_episode, strict=True)
-            if part is not None
-        }
-        costs = np.sum([cost for *_, cost in by_episode], axis=0)
-        return (
-            {s.digest: sums for s, (sums, *_) in zip(task.data, by_episode, strict=True)},
-            linear or None,
-            costs,
-        )
+        return *sums.done(usual), costs.sum(axis=0)
 
-    def _sums_of(
-        self, task: Task, lanes: Lanes, at: LaidOut, out: Array, old: Derivatives | None
-    ) -> tuple[Array, KeptDerivatives | None, Array]:
-        """Sums of outer products of one episode's rollout, its derivatives that may be kept, and
-        what each lane costs."""
-        errors = self.errors(at.series, task.hypothesis, lanes.p[:, 0])
-        if old is not None:
-            kept_before = old[at.series.digest]
-            return errors.renewed(out, at.inverse, lanes.of, kept_before), kept_before, np.zeros(0)
-        columns = np.concatenate([lanes.of, 1 + np.arange(lanes.starts)])
-        sums = errors.summed(out, at.inverse, columns, lanes.against, len(at.init))
-        if at.own_steps:
-            ones = np.ones((len(at.steps), 1 + len(lanes.of)))
-            per = np.concatenate([ones, self.start_steps / at.steps], axis=1)
-            sums *= per[:, :, None] * per[:, None, :]
-        kept = (
-            errors.kept(out, at.inverse, columns, sums, task.keeps, len(lanes.of) + 1)
-            if task.keeps
-            else None
-        )
-        return (
-            sums,
-            kept,
-            errors.costs(out, len(at.init)).sum(axis=0) if task.free.central else np.zeros(0),
-        )
-
-    def errors(self, s: Series, hypothesis: Hypothesis, values: Array) -> Errors:
-        """What a rollout of an episode is compared with."""
-        window_of, weight = seen_by(s, self._late_s(hypothesis, values))
+    def errors(self, stack: Stack, hypothesis: Hypothesis, values: Array) -> Errors:
+        """What a rollout of a stack is compared with."""
+        window_of, counts = stack.seen(self._late_s(hypothesis, values))
         return Errors(
-            s.observed,
-            weight * s.usable / self.sigma,
+            stack.observed,
+            counts / self.sigma,
             window_of,
-            s.t_s,
-            s.period_s,
+            stack.t_s,
+            stack.periods_of_windows,
             self.correlation,
+            stack.episode_of,
         )
 
     def _late_s(self, hypothesis: Hypothesis, values: Array) -> Array:

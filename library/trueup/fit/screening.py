@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from trueup.fit.errors import KeptDerivatives
 from trueup.fit.lanes import Task
 from trueup.fit.normal_equations import RAN_AWAY, NormalEquations
 from trueup.fit.rollout_fit import RolloutFit
-from trueup.fit.rollouts import Derivatives, Rollouts
+from trueup.fit.rollouts import Rollouts
 from trueup.model.block import BLOCK, kind
 from trueup.model.rounding import rounded
 from trueup.model.series import Series
@@ -46,7 +47,7 @@ def screen(
     data: Sequence[Series],
     parent: RolloutFit,
     effect: str,
-    derivatives: Derivatives | None = None,
+    derivatives: KeptDerivatives | None = None,
     guesses: Sequence[Sequence[float]] = (),
 ) -> Screening:
     """What is expected of each initial guess of an effect, of its own ones where none are given.
@@ -87,7 +88,7 @@ def _screened(
     parent: RolloutFit,
     effect: str,
     guesses: Sequence[Sequence[float]],
-    derivatives: Derivatives | None,
+    derivatives: KeptDerivatives | None,
 ) -> Array:
     """The rows of a Screening `(5, guesses)`, of no more guesses than there are lanes."""
     n, k = len(task.free.rows), len(guesses)
@@ -97,9 +98,11 @@ def _screened(
     for lane, guess in zip(lanes.of[len(lanes.of) - k :], guesses, strict=True):
         lanes.p[:, lane] = rollouts.with_effect(parent.values, effect, guess)
         lanes.inverse[lane] = 1.0
-    parts, *_ = rollouts.sums(task, lanes, parent.starts, {}, derivatives if task.keeps else None)
-    parts = {key: np.where(np.abs(g) < RAN_AWAY, g, 0.0) for key, g in parts.items()}
-    equations = NormalEquations(parts, {key: np.zeros(0) for key in parts}, np.zeros(0), n + k)
+    sums, *_ = rollouts.sums(task, lanes, parent.starts, {}, derivatives if task.keeps else None)
+    ends = task.stack.window_ends
+    nothing = np.zeros((len(ends) - 1, 0))
+    sound = np.where(np.abs(sums) < RAN_AWAY, sums, 0.0)
+    equations = NormalEquations(sound, ends, nothing, np.zeros(0), n + k)
     normal, gradient = equations.reduced(RIDGE)
     expected = np.array([[parent.cost] * k, [0.0] * k, [np.inf] * k, [-1.0] * k, [0.0] * k])
     for i in range(k):

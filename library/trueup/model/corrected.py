@@ -27,10 +27,9 @@ from trueup.model.joint_effects import Acting, JointEffects
 from trueup.model.joint_step import JointStep
 from trueup.model.plant import Plant
 from trueup.model.predictor import Physical, Predictor
-from trueup.model.roll import roll, roll_each
+from trueup.model.roll import roll, roll_parts
 from trueup.model.series import (
     DECLARED,
-    RolloutOf,
     Scheme,
     Series,
     positions_and_velocities,
@@ -38,6 +37,7 @@ from trueup.model.series import (
     whole,
 )
 from trueup.model.simulator.dynamics import SimulatedDynamics
+from trueup.model.stack import Part, RolloutOf, Stack
 from trueup.model.state import past_states
 from trueup.model.stepping import Columns, Stepping
 from trueup.model.tree_dynamics import TreeDynamics
@@ -233,13 +233,16 @@ def side_by_side(
     one = models[0]
     on = switches(one.hypothesis, len(one.plant.joints))
     gains = np.stack([model.gains() for model in models], axis=-1)
-    asked = [RolloutOf(series, one.lanes(), init, gains) for series, init in beginnings]
+    stack = Stack.of([series for series, _ in beginnings])
+    init = np.concatenate([init for _, init in beginnings])
+    p = np.repeat(one.lanes()[None], len(beginnings), axis=0)
 
-    def in_windows(i: int, out: Array) -> list[Array]:
+    def in_windows(part: Part, out: Array) -> list[Array]:
         lanes = [FILTERS + k for k in range(len(models))]
-        return [np.asarray(out[windows[i].rows][:, :, :, lane]) for lane in lanes]
+        return [np.asarray(out[windows[part.first].rows][:, :, :, lane]) for lane in lanes]
 
-    rolled = roll_each(one.plant.form, on, asked, in_windows)
+    asked = RolloutOf(stack, p, init, gains)
+    rolled = roll_parts(one.plant.form, on, asked, in_windows, alone=True)
     return [[of_episode[k] for of_episode in rolled] for k in range(len(models))]
 
 
@@ -347,11 +350,14 @@ def _side_by_side(
 ) -> Array:
     """States `(n, steps, states)` after each of some steps of `span` [s] `(n,)`, each from its own
     state, under a command of its own, and with hidden states as they begin."""
-    asked = []
-    for state, u, h in zip(states, applied, span, strict=True):
+    series = []
+    for u, h in zip(applied, span, strict=True):
         t_s = np.asarray(np.arange(steps + 1) * float(h), np.float64)
         commands = np.tile(u, (steps + 1, 1))
         s = unobserved(model.scheme, t_s, commands, model.plant.command_scales, float(h))
-        asked.append(RolloutOf(s, model.lanes(), np.repeat(state[None, :, None], BLOCK, axis=2)))
+        series.append(s)
+    p = np.repeat(model.lanes()[None], len(states), axis=0)
+    asked = RolloutOf(Stack.of(series), p, np.repeat(states[:, :, None], BLOCK, axis=2))
     on = switches(model.acting, len(model.plant.joints))
-    return np.stack(roll_each(model.plant.form, on, asked, lambda _, out: out[1:, :, 0]))
+    form = model.plant.form
+    return np.stack(roll_parts(form, on, asked, lambda _, out: out[1:, :, 0], alone=True))

@@ -316,7 +316,6 @@ class CompiledTree(Dynamics):
         windows, samples, joints = applied.shape
         runs = steps.reshape(-1)
         t = np.concatenate([[0.0], np.cumsum((runs * h_s.reshape(-1))[:-1])])
-        t.flags.writeable = False  # as an episode's: the kernel is compiled for one kind of array
         resets = np.full(windows * samples, -1)
         resets[::samples] = np.arange(windows)
         issued = np.ascontiguousarray(applied.reshape(-1, joints))
@@ -329,8 +328,8 @@ class CompiledTree(Dynamics):
             p[: some.shape[1], : len(some)] = some.T
             out = np.empty((len(t), 2 * joints, BLOCK))
             kernel()(
-                p, off, self.form.block.nominal, TREE_FORM, self.form.tree, self.form.sizes, 0.0,
-                np.ones(joints), 0.0, t,
+                p[None], off, self.form.block.nominal, TREE_FORM, self.form.tree, self.form.sizes,
+                0.0, np.ones(joints), np.zeros(1), np.array([0, len(t)]), t,
                 np.ascontiguousarray(h_s.reshape(-1)), np.ascontiguousarray(runs), issued,
                 np.zeros_like(issued), np.zeros_like(issued), resets,
                 np.repeat(initial[:, :, None], BLOCK, axis=2), 0, False,

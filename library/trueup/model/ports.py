@@ -20,10 +20,12 @@ effects cost, nothing is compiled for it, and a new effect is one new file.
     correct        hidden states of a lane that an observation corrects
     jump           hidden states that a window's start sets
 
-Every port gets the number `j` of a joint; `signals` `(SIGNALS_AT_JOINT, joints, lanes)`; `common`,
-the signals that all joints share, `(SIGNALS_OF_ALL, lanes)`; `memory`, the effects' hidden states,
-`(states, joints, lanes)`; `on` `(effects, joints)`, which effects act; and `p` `(rows, lanes)`,
-their parameters.
+Every port gets the number `j` of a joint; `signals` `(joints, SIGNALS_AT_JOINT x lanes)`; `common`,
+the signals that all joints share, `(SIGNALS_OF_ALL x lanes,)`; `memory`, the effects' hidden
+states, `(joints, states x lanes)`; `on` `(effects, joints)`, which effects act; and `p` `(joints,
+parameters x lanes)`, their parameters. What a joint has lies in one row: of numbers that are a
+known distance apart the compiler sees that they are not the same, and takes several lanes at
+once.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ from typing import Any
 
 from numba.extending import register_jitable
 
-from trueup.model.block import BLOCK, height, memory_offsets, offsets
+from trueup.model.block import BLOCK, memory_offsets, offsets
 from trueup.model.effect import DELAYS, SIGNALS, Effect, Port, effects
 from trueup.model.family import Family, families, source_digest
 from trueup.model.joint_effects import PARTS, answers_all
@@ -69,6 +71,14 @@ SIGNALS_OF_ALL = (
 (H, T, SINCE, PERIOD, IMPLICIT) = range(len(SIGNALS_OF_ALL))
 
 
+def at(signal: Any, lane: Any) -> Any:
+    """Where a lane of a signal is."""
+    return signal * BLOCK + lane
+
+
+register_jitable(at)  # compiled into what calls it
+
+
 def memories() -> dict[tuple[str, str], int]:
     """The place of each effect's hidden states in a block's memory."""
     return {
@@ -85,6 +95,8 @@ def digest() -> str:
 def _made(name: str, arguments: str, body: Iterable[str], returns: str = "") -> Callable[..., Any]:
     """A function of this text, which tracebacks and debuggers can show."""
     lines = [*body] or ["pass"]
+    if arguments.startswith(GIVEN):
+        lines = ["here, kept, own = signals[j], memory[j], p[j]", *lines]
     text = "\n".join(
         [
             f"def {name}({arguments}):",
@@ -129,7 +141,7 @@ def _loop(index: int, effect: type[Effect]) -> list[str]:
 
     def value(name: str) -> str:
         if name in rows:
-            return f"p[{height()} * j + {rows[name]}, lane]"
+            return f"own[{rows[name] * BLOCK} + lane]"
         return _state(effect, name) if name in effect.states else _signal(within.get(name, name))
 
     changed = [
@@ -148,16 +160,16 @@ def _loop(index: int, effect: type[Effect]) -> list[str]:
     ]
 
 
-def _signal(name: str, joint: str = "j") -> str:
+def _signal(name: str) -> str:
     """A signal as the compiled text names it."""
     if name in SIGNALS_OF_ALL:
-        return f"common[{SIGNALS_OF_ALL.index(name)}, lane]"
-    return f"signals[{SIGNALS_AT_JOINT.index(name)}, {joint}, lane]"
+        return f"common[{SIGNALS_OF_ALL.index(name) * BLOCK} + lane]"
+    return f"here[{SIGNALS_AT_JOINT.index(name) * BLOCK} + lane]"
 
 
 def _state(effect: type[Effect], name: str, lane: str = "lane") -> str:
     """A hidden state."""
-    return f"memory[{memories()[effect.name, name]}, j, {lane}]"
+    return f"kept[{memories()[effect.name, name] * BLOCK} + {lane}]"
 
 
 def _begin(_: int, effect: type[Effect]) -> Iterator[str]:
@@ -166,8 +178,8 @@ def _begin(_: int, effect: type[Effect]) -> Iterator[str]:
             usual = "" if begins == "zero" else f"{_signal(begins)} + "
             yield f"for lane in range({BLOCK}):"
             yield (
-                f"    {_state(effect, state)} = {usual}p[{height()} * j + "
-                f"{memory_offsets()[effect.name, state]}, lane]"
+                f"    {_state(effect, state)} = {usual}"
+                f"own[{memory_offsets()[effect.name, state] * BLOCK} + lane]"
             )
 
 
@@ -202,9 +214,9 @@ def _jump(index: int, effect: type[Effect]) -> list[str]:
 def _family(number: int, family: type[Family]) -> list[str]:
     """One family's loop over the lanes; its parts are told apart only where an effect asks for
     them."""
-    values = "".join(f", own[{j}, lane]" for j in range(len(family.params)))
+    values = "".join(f", own[{j * BLOCK} + lane]" for j in range(len(family.params)))
     q, v, u, a, passive, spring, drive = (
-        _signal(x, "0") for x in ("q_at", "v_at", "u", "a", "passive", "spring", "drive")
+        _signal(x) for x in ("q_at", "v_at", "u", "a", "passive", "spring", "drive")
     )
     acceleration = f"{family.name}({q}, {v}, {u}{values})"
     return [
@@ -255,7 +267,7 @@ drive = _made(
 )
 nominal = _made(
     "nominal",
-    "signals, common, own, number, alpha, parts",
+    "here, common, own, number, alpha, parts",
     [line for i, f in enumerate(families().values()) for line in _family(i, f)],
 )
 force = _made("force", GIVEN, _at(Port.FORCE))

@@ -39,7 +39,6 @@ from trueup.model.tree import (
     SERVO,
     SLIDE,
     STIFFNESS,
-    SWEEPS,
     ZERO,
 )
 
@@ -57,7 +56,6 @@ LINK_ROWS = 48
 
 MASS, FIRST_MOMENT, SECOND_MOMENT = 0, 1, 4  # of an inertia: 1, 3 (x, y, z), 6 (xx yy zz xy xz yz)
 Z = 2  # of a vector: a joint acts along, or about, its link's z axis
-SETTLED = 1e-12  # [rad/s, m/s] a sweep that changes no velocity by more is the last
 
 
 def one(rows: Any, row: Any, lane: Any) -> Any:
@@ -82,9 +80,9 @@ def put(rows: Any, first: Any, lane: Any, x: Any, y: Any, z: Any) -> None:
     rows[at], rows[at + BLOCK], rows[at + 2 * BLOCK] = x, y, z
 
 
-def block_of(rows: Any, row: Any) -> Any:
-    """All lanes of a row."""
-    return rows[row * BLOCK : (row + 1) * BLOCK]
+def lanes_of(row: Any) -> Any:
+    """Where all lanes of a row are."""
+    return slice(row * BLOCK, (row + 1) * BLOCK)
 
 
 def along_joint(slides: Any) -> Any:
@@ -102,7 +100,7 @@ def crba(tree: Any, p: Any, q: Any, links: Any, mass: Any) -> None:
     for j in range(n):
         place(tree[j], q[j], links[j])
         for k in range(LINK):
-            composite, own = block_of(links[j], COMPOSITE + k), block_of(links[j], INERTIA + k)
+            composite, own = links[j, lanes_of(COMPOSITE + k)], links[j, lanes_of(INERTIA + k)]
             given = p[LINK * j + k]
             for lane in range(BLOCK):
                 composite[lane] = given[lane]
@@ -136,7 +134,7 @@ def place(joint: Any, q: Any, link: Any) -> None:
 
 def fill_mass(tree: Any, p: Any, links: Any, mass: Any) -> None:
     """The mass matrix of links whose composite inertias are in `links`."""
-    n, nothing = len(tree), np.zeros(BLOCK)
+    n = len(tree)
     for j in range(n):
         link, slides = links[j], tree[j, SLIDE] > 0.0
         for lane in range(BLOCK):
@@ -149,22 +147,26 @@ def fill_mass(tree: Any, p: Any, links: Any, mass: Any) -> None:
             else:
                 put(link, FORCE, lane, -hy, hx, 0.0)
                 put(link, MOMENT, lane, xz, yz, zz)
-        own, force = block_of(mass[j], j), block_of(link, along_joint(slides))
+        own, force = mass[j, lanes_of(j)], link[lanes_of(along_joint(slides))]
         armature = p[LINK * n + JOINT * j + ARMATURE]
         for lane in range(BLOCK):
             own[lane] = force[lane] + armature[lane]
         for k in range(j):
-            couple(mass, j, k, nothing)
+            upper, lower = mass[j, lanes_of(k)], mass[k, lanes_of(j)]
+            for lane in range(BLOCK):
+                upper[lane] = 0.0
+            for lane in range(BLOCK):
+                lower[lane] = 0.0
         below, i = j, int(tree[j, PARENT])
         while i >= 0:
             to_parent(links[below], link)
-            couple(mass, j, i, block_of(link, along_joint(tree[i, SLIDE] > 0.0)))
+            couple(mass, j, i, link[lanes_of(along_joint(tree[i, SLIDE] > 0.0))])
             below, i = i, int(tree[i, PARENT])
 
 
 def couple(mass: Any, j: int, k: int, by: Any) -> None:
     """Two joints' entry of the mass matrix, both ways."""
-    upper, lower = block_of(mass[j], k), block_of(mass[k], j)
+    upper, lower = mass[j, lanes_of(k)], mass[k, lanes_of(j)]
     for lane in range(BLOCK):
         upper[lane] = by[lane]
     for lane in range(BLOCK):
@@ -266,7 +268,7 @@ def rnea(tree: Any, v: Any, links: Any, force: Any) -> None:
                 put(link, TURN_RATE, lane, 0.0, 0.0, 0.0)
                 put(link, TURN_ACCELERATION, lane, 0.0, 0.0, 0.0)
                 put(link, ACCELERATION, lane, g0, g1, g2)
-        speeds, given = block_of(link, SPEED), v[j]
+        speeds, given = link[lanes_of(SPEED)], v[j]
         for lane in range(BLOCK):
             speeds[lane] = given[lane]
         move_link(link, slides)
@@ -327,7 +329,7 @@ def gather(tree: Any, links: Any, force: Any) -> None:
     """Each joint's part of the wrenches on its link and on all that it carries."""
     for j in range(len(tree) - 1, -1, -1):
         link, i = links[j], int(tree[j, PARENT])
-        carried, to = block_of(link, along_joint(tree[j, SLIDE] > 0.0)), force[j]
+        carried, to = link[lanes_of(along_joint(tree[j, SLIDE] > 0.0))], force[j]
         for lane in range(BLOCK):
             to[lane] = carried[lane]
         if i >= 0:
@@ -354,43 +356,8 @@ def joint_forces(tree: Any, p: Any, u: Any, q: Any, v: Any, force: Any) -> None:
             force[j, lane] = driven - passive - force[j, lane]
 
 
-def project_friction(inverse_mass: Any, held: Any, v: Any, impulse: Any) -> None:
-    """Dry friction of all joints at once: `v` `(joints, lanes)` after impulses no larger than
-    `held`, each of which only ever stops its joint.
-
-    `inverse_mass` is `(joints, joints x lanes)`. Source: J. J. Moreau (1988); the sweeps: M. Jean,
-    Computer Methods in Applied Mechanics and Engineering 177 (1999).
-    """
-    n = len(held)
-    several = 0
-    for j in range(n):
-        several += 1 if held[j].max() > 0.0 else 0
-        for lane in range(BLOCK):
-            impulse[j, lane] = 0.0
-    by = np.empty(BLOCK)
-    for _ in range(SWEEPS if several > 1 else several):
-        largest = 0.0
-        for j in range(n):
-            if held[j].max() <= 0.0:
-                continue
-            own, most = block_of(inverse_mass[j], j), held[j]
-            for lane in range(BLOCK):
-                wanted = impulse[j, lane] - v[j, lane] / own[lane]
-                wanted = min(max(wanted, -most[lane]), most[lane])
-                by[lane] = wanted - impulse[j, lane]
-                impulse[j, lane] = wanted
-                largest = max(largest, abs(by[lane]) * own[lane])
-            for k in range(n):
-                there, coupled = v[k], block_of(inverse_mass[k], j)
-                for lane in range(BLOCK):
-                    there[lane] += coupled[lane] * by[lane]
-        if largest < SETTLED:
-            break
-
-
 for _function in (
-    one, three, six, put, add, block_of, along_joint, crba, place, fill_mass, couple,
+    one, three, six, put, add, lanes_of, along_joint, crba, place, fill_mass, couple,
     cosines_and_sines, to_parent, add_inertia, rnea, move_link, wrench, gather, joint_forces,
-    project_friction,
 ):  # fmt: skip
     register_jitable(_function)  # compiled into what calls them

@@ -3,7 +3,7 @@ the user's own, in numpy."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from trueup.cores import in_parallel
 from trueup.model.block import BLOCK, FILTERS
 from trueup.model.dynamics import Form
-from trueup.model.series import RolloutOf, Series
+from trueup.model.series import Series
+from trueup.model.stack import Part, RolloutOf, Stack
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -27,58 +28,69 @@ def roll(
     starts: int = 0,
 ) -> Array:
     """Rollout of blocks of lanes over one series, `(samples, 2 x joints, lanes)`; arguments as in
-    `RolloutOf`, whole blocks of lanes."""
-    return roll_each(form, on, [RolloutOf(s, p, init, starts=starts)], lambda _, out: out)[0]
+    `RolloutOf` of one episode, whole blocks of lanes."""
+    of = RolloutOf(Stack.of([s]), p[None], init, starts=starts)
+    return roll_parts(form, on, of, lambda _, out: out)[0]
 
 
-def roll_each(
+def roll_parts(
     form: Form,
     on: NDArray[np.uint8],
-    asked: Sequence[RolloutOf],
-    then: Callable[[int, Array], T],
+    of: RolloutOf,
+    then: Callable[[Part, Array], T],
     *,
+    alone: bool = False,
     in_threads: bool = False,
 ) -> list[T]:
-    """What `then` makes of each rollout, which it gets with its number.
+    """What `then` makes of the rollouts `(samples, 2 x joints, lanes)` of parts of a stack, in
+    order; of each episode `alone`, or `in_threads`.
 
-    Compiled ones are made one by one, each forgotten once it was used, or `in_threads`; those of a
+    Compiled ones are made one by one, each forgotten once it was used, or in threads; those of a
     simulator all at once.
     """
+    stack = of.stack
+    numbers = stack.observed.shape[1] * of.p.shape[2]
     if form.simulator is not None:
         from trueup.model.simulator.rollout import roll_simulator  # noqa: PLC0415  (seldom needed)
 
-        rolled = roll_simulator(form.simulator, form.sizes, form.block, on, asked)
-        return [then(i, out) for i, out in enumerate(rolled)]
+        rolled = roll_simulator(form.simulator, form.sizes, form.block, on, of)
+        parts = stack.parts(numbers, alone=alone)
+        return [then(part, np.concatenate(rolled[part.first : part.end])) for part in parts]
 
-    def one(i: int) -> T:
-        return then(i, _compiled(form, on, asked[i]))
+    def one(part: Part) -> T:
+        return then(part, _compiled(form, on, of, part))
 
-    return list((in_parallel if in_threads else map)(one, range(len(asked))))
+    if in_threads:
+        return list(in_parallel(one, list(stack.parts(numbers, alone=True))))
+    return [one(part) for part in stack.parts(numbers, alone=alone)]
 
 
-def _compiled(form: Form, on: NDArray[np.uint8], of: RolloutOf) -> Array:
+def _compiled(form: Form, on: NDArray[np.uint8], of: RolloutOf, part: Part) -> Array:
     from trueup.model.kernel import kernel  # noqa: PLC0415  (numba loads slowly; a server that only serves needs none)
 
-    s, gains = of.series, of.gains
-    joints, lanes = len(s.u_scale), of.p.shape[1]
-    out = np.empty((len(s.t_s), 2 * joints, lanes))
-    observed = np.where(s.usable, s.observed, np.nan) if gains is not None else s.observed
+    s, gains, episodes, samples = of.stack, of.gains, slice(part.first, part.end), part.samples
+    init = of.init if gains is None else of.init[episodes]
+    joints, lanes = s.observed.shape[1] // 2, of.p.shape[2]
+    count = samples.stop - samples.start
+    out = np.empty((count, 2 * joints, lanes))
+    observed = s.observed[samples]
     # filters that nobody asked for are like the last one
-    followed = (
-        np.zeros((1, joints, 4, 2, FILTERS))
-        if gains is None
-        else np.take(gains, np.minimum(np.arange(FILTERS), gains.shape[-1] - 1), axis=-1)
-    )
+    if gains is None:
+        followed = np.zeros((1, joints, 4, 2, FILTERS))
+    else:
+        followed = np.take(gains, np.minimum(np.arange(FILTERS), gains.shape[-1] - 1), axis=-1)
+        observed = np.where(s.usable[samples], observed, np.nan)
+    ends = s.ends[part.first : part.end + 1] - samples.start
     for first in range(0, lanes, BLOCK):
         some = slice(first, first + BLOCK)
-        part = out if lanes == BLOCK else np.empty((len(s.t_s), 2 * joints, BLOCK))
+        block = out if lanes == BLOCK else np.empty((count, 2 * joints, BLOCK))
         kernel()(
-            np.ascontiguousarray(of.p[:, some]), on, form.block.nominal, form.family, form.tree,
-            form.sizes, s.scheme.alpha, s.u_scale,
-            s.period_s, s.t_s, s.h_s, s.steps, s.issued, s.rise, s.integral, s.resets,
-            np.ascontiguousarray(of.init[:, :, some]),
-            0 if first else min(of.starts, BLOCK - 1), gains is not None, followed, observed, part,
+            np.ascontiguousarray(of.p[episodes, :, some]), on, form.block.nominal, form.family,
+            form.tree, form.sizes, s.scheme.alpha, s.series[0].u_scale, s.periods_s[episodes], ends,
+            s.t_s[samples], s.h_s[samples], s.steps[samples], s.issued[samples], s.rise[samples],
+            s.integral[samples], s.resets[samples], np.ascontiguousarray(init[:, :, some]),
+            0 if first else min(of.starts, BLOCK - 1), gains is not None, followed, observed, block,
         )  # fmt: skip
-        if part is not out:
-            out[:, :, some] = part
+        if block is not out:
+            out[:, :, some] = block
     return out

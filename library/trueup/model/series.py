@@ -7,7 +7,6 @@ it (a held frame), or that has no number, is left out.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,30 +104,6 @@ class Series:
     period_s: float
     u_scale: Array
 
-    @cached_property
-    def seen_at_once(self) -> tuple[NDArray[np.int64], Array]:
-        """What `seen_by` gives where no joint is seen late, worked out once."""
-        columns = self.observed.shape[1]
-        return (
-            np.repeat(self.window_of[:, None], columns, axis=1),
-            np.ones((len(self.t_s), columns)),
-        )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RolloutOf:
-    """What is asked of a series: the block's parameters `(rows, lanes)`; where windows start
-    `(windows, 2 x joints, lanes)`; the `gains` `(beginning, joints, 4, 2, filters)` of filters in
-    the first lanes, each followed by the lane FILTERS behind it; and how many lanes behind the
-    first differ from it in what windows start from alone, and begin each window with its hidden
-    states."""
-
-    series: Series
-    p: Array
-    init: Array
-    gains: Array | None = None
-    starts: int = 0
-
 
 def series(
     plant: Plant,
@@ -194,9 +169,7 @@ def since_the_recording_began(episode: Episode) -> Array:
     a part: what drifts goes on drifting through a gap."""
     if not episode.begins_s:
         return episode.t_s
-    t = np.asarray(episode.begins_s + episode.t_s)
-    t.flags.writeable = False  # as an episode's: the kernel is compiled for one kind of array
-    return t
+    return np.asarray(episode.begins_s + episode.t_s)
 
 
 def integral_of(issued: Array, t_s: Array) -> Array:
@@ -219,8 +192,7 @@ def unobserved(
 ) -> Series:
     """A command `(samples, joints)` at `t_s` [s] that nobody recorded an answer to, from rest, in
     one window."""
-    n, t_s = len(t_s), t_s.copy()
-    t_s.flags.writeable = False  # as an episode's: the kernel is compiled for one kind of array
+    n = len(t_s)
     steps, resets = np.full(n, scheme.parts), np.full(n, -1)
     steps[-1], resets[0] = 0, 0
     zeros = np.zeros((n, 2 * command.shape[1]))
@@ -306,8 +278,6 @@ def seen_by(s: Series, late_s: Array) -> tuple[NDArray[np.int64], Array]:
     What a late sensor shows of the time before the log is no window's, -1; what is left of its
     samples counts for those too.
     """
-    if not late_s.any():
-        return s.seen_at_once
     shown = np.searchsorted(s.t_s, s.t_s[:, None] - late_s, side="right") - 1
     windows = np.where(shown >= 0, s.window_of[shown], -1)
     weight = np.sqrt(len(shown) / np.maximum((shown >= 0).sum(axis=0), 1))

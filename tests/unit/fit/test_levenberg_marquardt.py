@@ -54,7 +54,7 @@ def objective(rollouts, *, keeps=0):
         at=lambda values: values.copy(),
         moved=lambda values, by: values + by,
     )
-    task = SimpleNamespace(free=free, keeps=keeps, states=())
+    task = SimpleNamespace(free=free, keeps=keeps, moved=lambda starts, _: starts)
     return Objective(rollouts, task, 100, np.zeros(1), np.zeros(1))
 
 

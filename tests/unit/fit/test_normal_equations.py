@@ -11,8 +11,8 @@ def of_two_states(alike):
     if alike:  # to the last digit, beside which their prior vanishes
         rows[:, 10:, 4:], rows[:, :10, 2:4] = 0.0, 0.0
         rows[:, 10:, 2:4] = 1e9
-    parts = {"episode": np.einsum("wsi,wsj->wij", rows, rows)}
-    return NormalEquations(parts, {"episode": np.zeros(2)}, np.array([1e3, 1e3]), 1)
+    sums = np.einsum("wsi,wsj->wij", rows, rows)
+    return NormalEquations(sums, np.array([0, 3]), np.zeros((1, 2)), np.array([1e3, 1e3]), 1)
 
 
 def test_hidden_states_that_do_the_same_share_what_they_explain():
@@ -20,8 +20,8 @@ def test_hidden_states_that_do_the_same_share_what_they_explain():
     normal, gradient = equations.reduced()
     assert np.isfinite(normal).all()
     assert np.isfinite(gradient).all()
-    memory = equations.moves_with(np.zeros(1))["episode"][1]
-    np.testing.assert_allclose(memory[0], memory[1], rtol=1e-3)
+    _, ((first, second),) = equations.moves_with(np.zeros(1))
+    np.testing.assert_allclose(first, second, rtol=1e-3)
 
 
 def test_the_reduced_matrix_is_that_of_a_least_squares_fit_of_all():

@@ -6,13 +6,14 @@ import pytest
 from tests.support.made import plant_document
 from tests.support.robots import arm_plant
 from trueup.model import kernel as kernels
+from trueup.model import kernel_sample
 from trueup.model.block import BLOCK, term
 from trueup.model.dynamics import CompiledFamily
 from trueup.model.effect import effects
 from trueup.model.family import families
 from trueup.model.kernel import kernel
 from trueup.model.plant import Plant
-from trueup.model.ports import LAG_S, PAST, SIGNALS_AT_JOINT, U
+from trueup.model.ports import LAG_S, LATE_S, PAST, Q_AT, SIGNALS_AT_JOINT, Q, U, V
 from trueup.model.roll import roll
 from trueup.model.series import Scheme, unobserved
 
@@ -55,6 +56,7 @@ def test_compiling_changes_no_bit(name, on, tmp_path, monkeypatch):
     of = plant(name, tmp_path)
     compiled, as_text = rolled(of, on), kernel().py_func
     monkeypatch.setattr(kernels, "kernel", lambda: as_text)
+    monkeypatch.setattr(kernels, "episode", kernels.roll_episode)
     assert np.array_equal(rolled(of, on), compiled)
 
 
@@ -100,23 +102,25 @@ def test_an_effect_that_is_off_is_not_called(effect, tmp_path):
 def test_a_delayed_command_is_its_mean_over_the_step():
     t, issued = np.arange(5) * 0.1, np.array([[0.0], [1.0], [3.0], [3.0], [0.0]])
     integral = np.concatenate([[[0.0]], np.cumsum(issued[:-1] * 0.1, axis=0)])
-    signals, sent = np.zeros((len(SIGNALS_AT_JOINT), 1, BLOCK)), np.zeros((1, BLOCK), np.int64)
+    signals, sent = np.zeros((len(SIGNALS_AT_JOINT), BLOCK)), np.zeros((1, BLOCK), np.int64)
     signals[LAG_S], signals[PAST] = 0.05, -2.0
     means = []
     for i in range(4):
-        kernels.send_late(0, t[i], t[i] + 0.1, 0.1, t, issued, integral, signals, sent)
-        means.append(signals[U, 0, 0])
+        kernel_sample.send_late(
+            0, t[i], t[i] + 0.1, 0.1, t, issued, integral, signals.ravel(), sent
+        )
+        means.append(signals[U, 0])
     assert means == pytest.approx([(-2.0 + 0.0) / 2, (0.0 + 1.0) / 2, (1.0 + 3.0) / 2, 3.0])
 
 
 def test_a_late_sensor_shows_where_the_joint_was():
     t = np.arange(6) * 0.1
-    signals = np.zeros((len(SIGNALS_AT_JOINT), 1, BLOCK))
+    signals = np.zeros((len(SIGNALS_AT_JOINT), BLOCK))
     passed, seen = np.zeros((6, 2, BLOCK)), np.zeros((1, BLOCK), np.int64)
-    signals[kernels.LATE_S] = 0.15
+    signals[LATE_S] = 0.15
     shown = []
     for i in range(6):  # along a cubic, which the interpolation keeps
-        signals[kernels.Q], signals[kernels.V] = t[i] ** 3, 3 * t[i] ** 2
-        kernels.show_late(i, 0, t, signals, passed, seen)
-        shown.append(signals[kernels.Q_AT, 0, 0])
+        signals[Q], signals[V] = t[i] ** 3, 3 * t[i] ** 2
+        kernel_sample.show_late(i, 0, t, signals.ravel(), passed, seen)
+        shown.append(signals[Q_AT, 0])
     assert shown[2:] == pytest.approx(list((t[2:] - 0.15) ** 3), abs=1e-15)

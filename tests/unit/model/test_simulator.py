@@ -14,7 +14,7 @@ from trueup.fit.identify import identify
 from trueup.model.effect import Port, effects
 from trueup.model.hypothesis import Hypothesis, Scales, switches
 from trueup.model.plant import Plant
-from trueup.model.roll import roll_each
+from trueup.model.roll import roll_parts
 from trueup.model.simulator.simulator import Simulator, load_simulator, offer
 
 EXAMPLE = ROOT / "examples" / "own-simulator" / "pendulum.py"
@@ -136,9 +136,9 @@ def test_episodes_side_by_side_are_rolled_out_as_each_alone(own, name, gain):
         for s in (series_of(), series_of(samples=180, period_s=2 * PERIOD_S), series_of(every=150))
     ]
     on = switches(hypothesis, 1)
-    together = roll_each(own.form, on, each, lambda _, out: out)
-    for given, one in zip(together, each, strict=True):
-        (alone,) = roll_each(own.form, on, [one], lambda _, out: out)
+    of_all = roll_parts(own.form, on, windowed.together(each), lambda _, out: out, alone=True)
+    for given, one in zip(of_all, each, strict=True):
+        (alone,) = roll_parts(own.form, on, one, lambda _, out: out)
         np.testing.assert_allclose(given, alone, rtol=0.0, atol=1e-12)
 
 

@@ -22,13 +22,14 @@ from numpy.typing import NDArray
 
 from trueup.model.block import Block
 from trueup.model.effect import Port
-from trueup.model.series import RolloutOf
+from trueup.model.series import Series
 from trueup.model.simulator.filter import filtered
 from trueup.model.simulator.run import Run
 from trueup.model.simulator.sensors import followed, shown
 from trueup.model.simulator.simulator import Simulator
 from trueup.model.simulator.step import Memory, SimulatedStep
 from trueup.model.simulator.timeline import Acting, Timeline, acting_at, commanded, sensor_is_late
+from trueup.model.stack import RolloutOf
 
 Array = NDArray[np.float64]
 
@@ -42,26 +43,25 @@ def roll_simulator(
     sizes: Array,
     block: Block,
     on: NDArray[np.uint8],
-    asked: Sequence[RolloutOf],
+    asked: RolloutOf,
 ) -> list[Array]:
-    """What is observed in each series, `(samples, 2 x joints, lanes)`, of one hypothesis."""
+    """What is observed in each series of a stack, `(samples, 2 x joints, lanes)`."""
     lanes, kept = _distinct(asked)
     # running away is an answer: it ends as inf or nan
     with _ONE_AT_A_TIME, np.errstate(all="ignore"):
         runs = _runs(simulator, sizes, block, on, asked, kept)
-        out = _filtered(runs) if asked[0].gains is not None else _remembered(runs)
+        out = _filtered(runs) if asked.gains is not None else _remembered(runs)
     return [one[:, :, lanes] for one in out]
 
 
-def _distinct(asked: Sequence[RolloutOf]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _distinct(asked: RolloutOf) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """For each lane the one of those that are kept that is like it, and those that are kept: the
     first, in a filter's rollout the second, and all that differ from it."""
-    like = 0 if asked[0].gains is None else 1
-    count = asked[0].p.shape[1]
+    like = 0 if asked.gains is None else 1
+    count = asked.p.shape[2]
     differs = np.zeros(count, np.bool_)
-    for one in asked:
-        for table in (one.p, one.init.reshape(-1, count)):
-            differs |= (table != table[:, like : like + 1]).any(axis=0)
+    for table in (asked.p, asked.init):
+        differs |= (table != table[:, :, like : like + 1]).any(axis=(0, 1))
     differs[: like + 1] = True
     kept = np.flatnonzero(differs)
     at = np.full(count, like)
@@ -74,31 +74,38 @@ def _runs(
     sizes: Array,
     block: Block,
     on: NDArray[np.uint8],
-    asked: Sequence[RolloutOf],
+    asked: RolloutOf,
     kept: NDArray[np.int64],
 ) -> list[Run]:
-    series = [one.series for one in asked]
+    series = asked.stack.series
     timelines = [Timeline.of(s) for s in series]
-    acting = [acting_at(on, block, one.p[:, kept]) for one in asked]
+    parameters, init = asked.p[:, :, kept], asked.init[:, :, kept]
+    starts = np.split(init, len(series)) if asked.gains is not None else asked.stack.split(init)
+    acting = [acting_at(on, block, p) for p in parameters]
     reached = commanded(series, timelines, acting, len(kept))
+    following = int(np.searchsorted(kept, asked.starts, side="right")) - 1
+    # of filters one alone
+    gain = None if asked.gains is None else asked.gains[..., 0]
+    by_episode = zip(series, parameters, starts, timelines, acting, reached, strict=True)
     return [
-        _run(simulator, sizes, one, kept, timeline, effects, (commands, h_s))
-        for one, timeline, effects, (commands, h_s) in zip(
-            asked, timelines, acting, reached, strict=True
-        )
+        _run(simulator, sizes, s, p, begins, timeline, effects, commands, following, gain)
+        for s, p, begins, timeline, effects, commands in by_episode
     ]
 
 
 def _run(
     simulator: Simulator,
     sizes: Array,
-    one: RolloutOf,
-    kept: NDArray[np.int64],
+    s: Series,
+    p: Array,
+    init: Array,
     timeline: Timeline,
     acting: Sequence[Acting],
     reached: tuple[Array, Array],
+    following: int,
+    gain: Array | None,
 ) -> Run:
-    p, s = one.p[:, kept], one.series
+    lanes = p.shape[1]
     by_port = {port: [x for x in acting if x.effect.port is port] for port in Port}
     commands, h_s = reached
     step = SimulatedStep(
@@ -109,7 +116,7 @@ def _run(
         sizes,
         s.scheme.alpha,
         s.u_scale,
-        np.full(len(kept), s.period_s),
+        np.full(lanes, s.period_s),
         frozenset(
             x
             for port in (Port.FORCE, Port.FRICTION)
@@ -117,20 +124,17 @@ def _run(
             for x in one_acting.effect.arguments()
         ),
     )
-    init = one.init[:, :, kept]
-    if one.gains is not None:  # windows start from the filter
+    if gain is not None:  # windows start from the filter
         init = np.repeat(init[:1], len(timeline.starts), axis=0)
     elif len(timeline.starts) > len(init):  # samples before the first window
         init = np.concatenate([np.zeros((1, *init.shape[1:])), init])
     sensors = [x for x in by_port[Port.OBSERVATION] if not x.effect.delays()]
-    late_s = np.zeros((simulator.joints, len(kept)))
+    late_s = np.zeros((simulator.joints, lanes))
     for x in acting:
         if sensor_is_late(x, simulator.joints):
             given = {"lag_s": late_s[x.joint], "period": s.period_s}
-            late_s[x.joint] = x.value(given, x.begin(0.0, len(kept)))[0]
-    starts = int(np.searchsorted(kept, one.starts, side="right")) - 1
-    gain = None if one.gains is None else one.gains[..., 0]  # one filter alone
-    return Run(s, timeline, step, sensors, late_s, commands, h_s, init, starts, gain)
+            late_s[x.joint] = x.value(given, x.begin(0.0, lanes))[0]
+    return Run(s, timeline, step, sensors, late_s, commands, h_s, init, following, gain)
 
 
 @dataclass(slots=True, eq=False)

@@ -1,0 +1,192 @@
+"""Errors of a rollout, and their sums by window: of squares, and of outer products with
+derivatives.
+
+A row of a sum is (error, directions and numbers, memories, start).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from trueup.model.stack import Part
+
+Array = NDArray[np.float64]
+Lanes = NDArray[np.int64]
+EVEN = 1e-3  # of a period: stamps that are so regular
+
+
+@dataclass(frozen=True, slots=True)
+class KeptDerivatives:
+    """Weighted derivatives of a rollout by `first` directions and by the starts, `(samples, 2 x
+    joints, kept)`, and the sums of their outer products by window `(windows, kept, kept)`."""
+
+    rows: Array
+    products: Array
+    first: int
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """What a rollout of a stack is compared with, and what an error counts.
+
+    `observed` and `weight` `(samples, 2 x joints)`, the inverse standard deviation of the noise, 0
+    where nothing was seen; `window_of` the window that a sample is an error of; `t_s` `(samples,)`
+    [s]. `correlation` `(2 x joints,)` is that of the noise with itself one period before, which is
+    that of a window `(windows,)` [s]: errors are taken less what the noise of the last one leads to
+    expect. The first error of a window counts as it is. `episode_of` `(windows,)` is a window's
+    episode. Source: D. Cochrane, G. H. Orcutt, Journal of the American Statistical Association 44
+    (1949); for the first error S. J. Prais, C. B. Winsten, Cowles Commission Discussion Paper 383
+    (1954).
+    """
+
+    observed: Array
+    weight: Array
+    window_of: NDArray[np.int64]
+    t_s: Array
+    periods_s: Array
+    correlation: Array
+    episode_of: NDArray[np.int64]
+
+    def _of(self, part: Part) -> tuple[Any, ...]:
+        samples = part.samples
+        return (
+            self.observed[samples],
+            self.weight[samples],
+            self.window_of[samples],
+            self.t_s[samples],
+            self.periods_s,
+            self.correlation,
+        )
+
+    def add_sums(
+        self,
+        part: Part,
+        out: Array,
+        inverse: Array,
+        lanes: Lanes,
+        against: Lanes,
+        rows: Array,
+        into: Array,
+    ) -> None:
+        """Add sums of outer products of (kept derivatives, error, derivatives) by window `into`
+        `(windows, size, size)`, of a part's rollout `(samples, 2 x joints, lanes)`; those of the
+        kept derivatives `rows` `(samples, 2 x joints, kept)` are there.
+
+        Its first lane is unperturbed; `lanes` are those of the derivatives, `against` which they
+        are differences, `inverse` `(episodes, lanes)` is that of each lane's step.
+        """
+        windows, kept = part.windows, rows[part.samples]
+        _summed(out, *self._of(part), self.episode_of, inverse, lanes, against, kept, into)
+        _mirrored(into[windows], rows.shape[2])
+
+    def derivatives(
+        self, part: Part, out: Array, inverse: Array, lanes: Lanes, into: Array
+    ) -> None:
+        """Write the derivatives by `lanes` of a part's rollout, weighed as errors are, `into`
+        `(samples, 2 x joints, lanes)`."""
+        window_of, weight = self.window_of[part.samples], self.weight[part.samples]
+        _derivatives(out, weight, window_of, self.episode_of, inverse, lanes, into[part.samples])
+
+    def add_costs(self, part: Part, out: Array, into: Array) -> None:
+        """Add the squared errors of each window and lane of a part's rollout `into` `(windows,
+        lanes)`."""
+        _costs(out, *self._of(part), into)
+
+
+@njit(cache=True, nogil=True)
+def _expected(phi, t_s, period_s, i, last):  # type: ignore[no-untyped-def]
+    """How much of its noise a sample has from the last one, `last`, -1 where there is none."""
+    if phi == 0.0 or last < 0:
+        return 0.0
+    steps = (t_s[i] - t_s[last]) / period_s
+    return phi if abs(steps - 1.0) < EVEN else phi**steps
+
+
+@njit(cache=True, nogil=True)
+def _costs(out, observed, weight, window_of, t_s, periods_s, correlation, into):  # type: ignore[no-untyped-def]
+    """Sums of squared errors by window and lane."""
+    for c in range(observed.shape[1]):
+        before, last = np.zeros(out.shape[2]), -1
+        for i in range(len(observed)):
+            w = window_of[i, c]
+            if w < 0 or weight[i, c] == 0.0:
+                continue
+            if last >= 0 and window_of[last, c] != w:
+                last = -1
+            part = _expected(correlation[c], t_s, periods_s[w], i, last)
+            over = 1.0 / np.sqrt(1.0 - part * part)
+            for b in range(out.shape[2]):
+                missed = (observed[i, c] - out[i, c, b]) * weight[i, c]
+                new = (missed - part * before[b]) * over
+                before[b] = missed
+                into[w, b] += new * new
+            last = i
+
+
+@njit(cache=True, nogil=True)
+def _derivatives(out, weight, window_of, episode_of, inverse, lanes, into):  # type: ignore[no-untyped-def]
+    """Derivatives by differences of lanes, weighed as errors are; 0 where nothing counts."""
+    for i in range(out.shape[0]):
+        for c in range(out.shape[1]):
+            w = window_of[i, c]
+            for b in range(len(lanes)):
+                if w >= 0 and weight[i, c] > 0.0:
+                    moved = out[i, c, lanes[b]] - out[i, c, 0]
+                    into[i, c, b] = moved * inverse[episode_of[w], lanes[b]] * weight[i, c]
+                else:
+                    into[i, c, b] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def _summed(  # type: ignore[no-untyped-def]
+    out, observed, weight, window_of, t_s, periods_s, correlation, episode_of, inverse, lanes,
+    against, rows, into,
+):  # fmt: skip
+    """Outer products of (kept derivatives, error, fresh derivatives) summed over each window, below
+    the diagonal; those of the kept ones are there."""
+    kept, size, channels = rows.shape[2], into.shape[1], observed.shape[1]
+    row, new = np.zeros(size), np.zeros(size)
+    before, last = np.zeros((channels, size)), np.full(channels, -1)
+    for i in range(len(observed)):
+        for c in range(channels):
+            w = window_of[i, c]
+            if w < 0 or weight[i, c] == 0.0:
+                continue
+            per = inverse[episode_of[w]]
+            for b in range(kept):
+                row[b] = rows[i, c, b]
+            row[kept] = (observed[i, c] - out[i, c, 0]) * weight[i, c]
+            for b in range(len(lanes)):
+                row[kept + 1 + b] = (
+                    (out[i, c, lanes[b]] - out[i, c, against[b]]) * per[lanes[b]] * weight[i, c]
+                )
+            if correlation[c] == 0.0:
+                for a in range(kept, size):
+                    for b in range(a + 1):
+                        into[w, a, b] += row[a] * row[b]
+                continue
+            if last[c] >= 0 and window_of[last[c], c] != w:
+                last[c] = -1
+            part = _expected(correlation[c], t_s, periods_s[w], i, last[c])
+            over = 1.0 / np.sqrt(1.0 - part * part)
+            for b in range(size):
+                new[b] = (row[b] - part * before[c, b]) * over
+                before[c, b] = row[b]
+            last[c] = i
+            for a in range(kept, size):
+                for b in range(a + 1):
+                    into[w, a, b] += new[a] * new[b]
+
+
+@njit(cache=True, nogil=True)
+def _mirrored(into, kept):  # type: ignore[no-untyped-def]
+    """Above the diagonal what is below it."""
+    for w in range(len(into)):
+        for a in range(kept, into.shape[1]):
+            for b in range(a):
+                into[w, b, a] = into[w, a, b]
