@@ -13,7 +13,7 @@ from trueup.diagnose.search_problem import SearchProblem
 from trueup.diagnose.tuning import SEARCH
 from trueup.diagnose.windowed_fits import WindowedFits, observed_starts
 from trueup.fit.rollout_fit import RolloutFit
-from trueup.model.series import Scheme, on_finer_steps, series
+from trueup.model.series import Scheme, on_finer_steps
 from trueup.model.stack import Stack
 
 
@@ -76,8 +76,8 @@ def _last_windows(
     return WindowedFits(
         problem.fitter.holding() if strategy.physical else problem.fitter,
         strategy,
-        Stack.of([series(plant, e, scheme, length_s) for e in recordings.adaptation]),
-        Stack.of([series(plant, e, scheme, length_s) for e in recordings.validation]),
+        Stack.cut(plant, recordings.adaptation, scheme, length_s),
+        Stack.cut(plant, recordings.validation, scheme, length_s),
         length_s,
         in_pieces(plant, recordings.every, scheme, length_s) if in_parts else {},
     )

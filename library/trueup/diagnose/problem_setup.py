@@ -198,17 +198,11 @@ class Setup:
             self.quality.correlation,
             held=self.recordings.strategy.held_starts,
         )
-
-        def stacked(episodes: Sequence[Episode]) -> Stack:
-            return Stack.of(
-                [series(plant, e, self.scheme, length_s, merged=self.merged) for e in episodes]
-            )
-
         return WindowedFits(
             fitter,
             self.recordings.strategy,
-            stacked(adaptation),
-            stacked(validation),
+            Stack.cut(plant, adaptation, self.scheme, length_s, self.merged),
+            Stack.cut(plant, validation, self.scheme, length_s, self.merged),
             length_s,
         )
 
@@ -246,9 +240,7 @@ class Setup:
             short_s = min(short_s, fits.length_s)
         return SearchProblem(
             fits,
-            Stack.of(
-                [series(plant, e, fits.scheme, short_s, merged=self.merged) for e in screened]
-            ),
+            Stack.cut(plant, screened, fits.scheme, short_s, self.merged),
             base,
             plant.parameters,
             {t: guesses for t, (guesses, _) in periodic.items()},

@@ -36,9 +36,9 @@ class Errors:
 
     `observed` and `weight` `(samples, 2 x joints)`, the inverse standard deviation of the noise, 0
     where nothing was seen; `window_of` the window that a sample is an error of; `t_s` `(samples,)`
-    [s]. `correlation` `(2 x joints,)` is that of the noise with itself one period before, which is
-    that of a window `(windows,)` [s]: errors are taken less what the noise of the last one leads to
-    expect. The first error of a window counts as it is. `episode_of` `(windows,)` is a window's
+    [s]. `correlation` `(2 x joints,)` is that of the noise with itself one period before, of a
+    window `periods_s` `(windows,)` [s]: errors are taken less what the noise of the last one leads
+    to expect. The first error of a window counts as it is. `episode_of` `(windows,)` is a window's
     episode. Source: D. Cochrane, G. H. Orcutt, Journal of the American Statistical Association 44
     (1949); for the first error S. J. Prais, C. B. Winsten, Cowles Commission Discussion Paper 383
     (1954).

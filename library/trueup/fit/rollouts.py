@@ -42,9 +42,9 @@ START_STEP = 1e-3  # of a scale: the finite difference of where a window starts
 class CentralDifferences:
     """The normal equations at a place by differences on both sides of each free number.
 
-    `task` is what they are of. `gradient` `(free,)` is minus half that
-    of the cost with windows' starts fixed, `curvature` half the cost's second difference, nan at a
-    bound, and `diagonal` the normal equations' own before starts are eliminated.
+    `task` says what is fitted. `gradient` `(free,)` is minus half that of the cost with windows'
+    starts fixed, `curvature` half the cost's second difference, nan at a bound, and `diagonal` the
+    normal equations' own before starts are eliminated.
     """
 
     equations: NormalEquations

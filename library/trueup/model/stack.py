@@ -12,7 +12,9 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.model.series import Scheme, Series, seen_by
+from trueup.episode.episode import Episode
+from trueup.model.plant import Plant
+from trueup.model.series import Scheme, Series, seen_by, series
 
 Array = NDArray[np.float64]
 # of a rollout, in numbers (8 MB): parts that are larger leave the processor's caches
@@ -54,24 +56,24 @@ class Stack(Sequence[Series]):
     periods_s: Array
 
     @staticmethod
-    def of(series: Sequence[Series]) -> Stack:
+    def of(some: Sequence[Series]) -> Stack:
         """The stack of some series, which may be one. Raises ValueError where their schemes
         differ."""
-        if isinstance(series, Stack):
-            return series
-        if len({s.scheme for s in series}) != 1:
+        if isinstance(some, Stack):
+            return some
+        if len({s.scheme for s in some}) != 1:
             raise ValueError("a stack has series of one scheme")
-        ends = np.cumsum([0, *(len(s.t_s) for s in series)])
-        window_ends = np.cumsum([0, *(len(s.begin) for s in series)])
+        ends = np.cumsum([0, *(len(s.t_s) for s in some)])
+        window_ends = np.cumsum([0, *(len(s.begin) for s in some)])
 
         def all_of(name: str) -> NDArray[Any]:
-            return np.concatenate([getattr(s, name) for s in series])
+            return np.concatenate([getattr(s, name) for s in some])
 
         before = np.repeat(window_ends[:-1], np.diff(ends))
         numbered = (all_of("window_of"), all_of("resets"))
         window_of, resets = (np.where(x >= 0, x + before, -1) for x in numbered)
         return Stack(
-            tuple(series),
+            tuple(some),
             ends,
             window_ends,
             all_of("t_s"),
@@ -84,8 +86,15 @@ class Stack(Sequence[Series]):
             all_of("usable"),
             window_of,
             resets,
-            np.array([s.period_s for s in series]),
+            np.array([s.period_s for s in some]),
         )
+
+    @staticmethod
+    def cut(
+        plant: Plant, episodes: Sequence[Episode], scheme: Scheme, window_s: float, merged: int = 1
+    ) -> Stack:
+        """Episodes cut into windows as by `series`, as a stack."""
+        return Stack.of([series(plant, e, scheme, window_s, merged=merged) for e in episodes])
 
     def __len__(self) -> int:
         return len(self.series)
