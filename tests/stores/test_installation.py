@@ -2,11 +2,13 @@
 told."""
 
 import os
+import random
 
 import pytest
 from sqlalchemy import text
 
 from tests.support.made import plant_document
+from tests.support.tampering import flip_row
 from trueup.ledger.rows import KEYS
 from trueup.ledger.verification import verify
 from trueup_service.actions.register_plant import register_plant
@@ -48,6 +50,16 @@ def schema(parts):
 
 def test_what_was_made_here_is_as_it_was_made(parts):
     assert findings(parts) == schema(parts) == []
+
+
+def test_any_value_that_was_changed_in_a_row_is_found(parts):
+    rng, missed = random.Random(7), []
+    for _ in range(30):
+        flipped = flip_row(parts, rng)
+        if not findings(parts):
+            missed.append(flipped.where)
+        flipped.undo()
+    assert missed == findings(parts) == []
 
 
 def test_a_second_row_of_one_name_is_found(parts):

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import random
-import sqlite3
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import LargeBinary, select, text
+import obstore
+from sqlalchemy import LargeBinary, and_, create_engine, select, text
 
 from tests.support.gates import LENIENT
 from tests.support.made import episode_bytes, plant_document, save
@@ -17,6 +17,7 @@ from trueup.episode.role import Role
 from trueup.ledger.audit import AuditEntry, rebuild
 from trueup.ledger.rows import KEYS, must_be_named
 from trueup_client import Client
+from trueup_service.registry.folder_blobs import FolderBlobs
 from trueup_service.registry.tables import metadata
 from trueup_service.wiring import Parts
 
@@ -56,7 +57,8 @@ def cut(parts: Parts, entries: Sequence[AuditEntry], size: int) -> None:
         connection.execute(text("DELETE FROM audit WHERE sequence > :n"), {"n": size})
         connection.execute(
             text(
-                "DELETE FROM audit_tree WHERE (((node & 281474976710655) + 1) << (node >> 48)) > :n"
+                "DELETE FROM audit_tree WHERE"
+                " (((node & 281474976710655) + 1) << CAST(node >> 48 AS INTEGER)) > :n"
             ),
             {"n": size},
         )
@@ -68,17 +70,26 @@ def cut(parts: Parts, entries: Sequence[AuditEntry], size: int) -> None:
 
 def flip(parts: Parts, rng: random.Random) -> Flip:
     """Changes one value at random: of a blob with probability 0.3, else of a row."""
-    return _flip_blob(parts, rng) if rng.random() < 0.3 else _flip_row(parts, rng)
+    return _flip_blob(parts, rng) if rng.random() < 0.3 else flip_row(parts, rng)
 
 
 def _flip_blob(parts: Parts, rng: random.Random) -> Flip:
-    path = rng.choice(sorted((parts.settings.data_dir / "blobs").glob("??/*")))
-    original = path.read_bytes()
-    path.write_bytes(_flipped(original, rng))
-    return Flip(f"blob {path.name}", lambda: path.write_bytes(original) and None)
+    digest = rng.choice(sorted(parts.blobs.all()))
+    original = parts.blobs.get(digest)
+    _put(parts, digest, _flipped(original, rng))
+    return Flip(f"blob {digest}", lambda: _put(parts, digest, original))
 
 
-def _flip_row(parts: Parts, rng: random.Random) -> Flip:
+def _put(parts: Parts, digest: str, data: bytes) -> None:
+    """Writes past the store's own `put`, which leaves alone what is there."""
+    if isinstance(parts.blobs, FolderBlobs):
+        (parts.settings.data_dir / "blobs" / digest[:2] / digest[2:]).write_bytes(data)
+    else:
+        obstore.put(parts.blobs._store, digest, data)  # type: ignore[attr-defined]
+
+
+def flip_row(parts: Parts, rng: random.Random) -> Flip:
+    """Changes one value of a row at random."""
     while True:
         table = rng.choice(TAMPERED)
         with parts.database.read() as connection:
@@ -94,6 +105,8 @@ def _flip_row(parts: Parts, rng: random.Random) -> Flip:
         changed = _changed(row[column.name], column.type, rng)
         if column.primary_key and any(r[column.name] == changed for r in rows):
             continue
+        if isinstance(changed, str) and "\0" in changed:
+            continue  # PostgreSQL holds no such text
         return _write(parts, table, row, column, changed)
 
 
@@ -118,14 +131,14 @@ def _write(parts: Parts, table: Any, row: Any, column: Any, changed: Any) -> Fli
     """Writes past the service's own connections, which would refuse to break a reference."""
 
     def put(key: dict[str, Any], value: Any) -> None:
-        database = sqlite3.connect(parts.settings.data_dir / "trueup.sqlite")
-        where = " AND ".join(f'"{name}" = ?' for name in key)
-        done = database.execute(
-            f'UPDATE "{table.name}" SET "{column.name}" = ? WHERE {where}', (value, *key.values())
-        )
-        assert done.rowcount == 1
-        database.commit()
-        database.close()
+        engine = create_engine(parts.settings.sqlalchemy_url)
+        with engine.begin() as connection:
+            if not parts.database.is_sqlite:
+                connection.execute(text("SET session_replication_role = replica"))
+            here = and_(*(table.c[name] == part for name, part in key.items()))
+            done = connection.execute(table.update().where(here).values({column.name: value}))
+            assert done.rowcount == 1
+        engine.dispose()
 
     key = {c.name: row[c.name] for c in table.primary_key.columns}
     put(key, changed)

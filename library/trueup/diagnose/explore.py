@@ -17,7 +17,7 @@ import numpy as np
 from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.data_quality import DataQuality
 from trueup.diagnose.model_selection import nothing_left
-from trueup.diagnose.problem_setup import Recordings, Setup
+from trueup.diagnose.problem_setup import Recordings, Refitted, Setup
 from trueup.diagnose.residual_noise import quality_by_residuals
 from trueup.diagnose.search import Search
 from trueup.diagnose.search_problem import SearchProblem
@@ -83,7 +83,7 @@ class _Exploration:
         self.criteria, self.strategy = self.recordings.criteria, self.recordings.strategy
         self.effort, self.progress, self.solve = self.strategy.effort, progress, solve
         self.ramps_leave: float | None = None
-        self._problems: dict[tuple[Scheme, int], tuple[SearchProblem, Candidate]] = {}
+        self._refitted: dict[tuple[Scheme, int], Refitted] = {}
 
     def search(self) -> tuple[Search, Searched | None]:
         """The best search; and where residuals show another noise, or stretches that nothing
@@ -127,7 +127,7 @@ class _Exploration:
         other = replace(scheme, ramped=not scheme.ramped)
         if not self._may_ramp(other) or at.total < SELECTION.adequate:
             return None
-        problem, _ = self._problem(other, 1)
+        problem = self._refit(other, 1).problem
         tried = {c.hypothesis: c for c in (alone, at)}.values()
         again = min(
             (problem.fits.candidate(_again(problem, c.fit)) for c in tried), key=lambda c: c.total
@@ -158,8 +158,8 @@ class _Exploration:
         on most windows. Samples that are thinned lie too close for it to matter."""
         if not self._may_ramp(scheme):
             return False
-        _, keeps = self._problem(scheme, 1)
-        _, rises = self._problem(replace(scheme, ramped=True), 1, near=keeps)
+        keeps = self._refit(scheme, 1).base
+        rises = self._refit(replace(scheme, ramped=True), 1, near=keeps).base
         self.ramps_leave = rises.total / max(keeps.total, 1e-300)
         return is_plainly_better(rises, keeps)
 
@@ -170,19 +170,18 @@ class _Exploration:
 
     def _begin(self, scheme: Scheme, parts: int) -> Search:
         """A new search, which has the nominal form refitted and nothing else yet."""
-        problem, base = self._problem(scheme, parts)
+        refitted = self._refit(scheme, parts)
         self.progress("the nominal form refitted", 1.0)
-        return Search(problem, self.recordings.terms, self.solve, {Hypothesis(): base})
+        known = {Hypothesis(): refitted.base}
+        return Search(refitted.problem, self.recordings.terms, self.solve, known)
 
-    def _problem(
-        self, scheme: Scheme, parts: int, near: Candidate | None = None
-    ) -> tuple[SearchProblem, Candidate]:
-        """The search problem under a scheme, and the nominal form refitted, from `near`, its fit
-        under another scheme, where that is given: set up once."""
-        if (scheme, parts) not in self._problems:
+    def _refit(self, scheme: Scheme, parts: int, near: Candidate | None = None) -> Refitted:
+        """The nominal form refitted under a scheme, from `near`, its fit under another one, where
+        that is given: once."""
+        if (scheme, parts) not in self._refitted:
             setup = Setup(self.recordings, self.quality, scheme)
-            self._problems[scheme, parts] = setup.problem(parts, near)
-        return self._problems[scheme, parts]
+            self._refitted[scheme, parts] = setup.refitted(parts, near)
+        return self._refitted[scheme, parts]
 
     def _better_known(self, search: Search) -> Searched | None:
         """What is to be searched after a look at compositions of one effect, None where it is as it

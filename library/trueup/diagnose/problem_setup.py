@@ -2,7 +2,7 @@
 
     Recordings      the plant with its episodes by role, and how they are judged
     Setup           the recordings with the quality of their data and one scheme of integration
-    WindowedFits    the setup's episodes in windows, and the nominal form refitted on them
+    Refitted        the setup's episodes in windows, and the nominal form refitted on them
     SearchProblem   that with everything that a search of terms needs
 
 Each is whole when it exists. A setup says how a problem is made again elsewhere, from the windows'
@@ -174,10 +174,10 @@ class Setup:
         """How many declared steps are taken as one, where samples are thinned."""
         return min(self.thinned_by, mergeable(self.recordings.plant)) if self.scheme.alpha else 1
 
-    def problem(self, parts: int, near: Candidate | None = None) -> tuple[SearchProblem, Candidate]:
-        """The search problem, and the nominal form refitted, on windows of which so many `parts`
-        make one of full length, or more where the nominal form runs away. It is fitted from `near`,
-        the same form fitted under another scheme, where that is given."""
+    def refitted(self, parts: int, near: Candidate | None = None) -> Refitted:
+        """The nominal form refitted on windows of which so many `parts` make one of full length, or
+        more where the nominal form runs away. It is fitted from `near`, the same form fitted under
+        another scheme, where that is given."""
         length_s = self.recordings.window_s / parts
         guesses = self._nominal_guesses() if near is None else [self._numbers_of(near)]
         for part_s in length_s / 2.0 ** np.arange(SETUP.halvings + 1):
@@ -185,7 +185,7 @@ class Setup:
             base = fits.fit_nominal_form(guesses)
             if np.isfinite(base.total):
                 break
-        return self._search_problem(fits, base.fit), base
+        return Refitted(self, fits, base)
 
     def windowed_fits(self, length_s: float) -> WindowedFits:
         """The episodes in windows of a length [s], whose starts are found on whole windows."""
@@ -220,18 +220,30 @@ class Setup:
             guesses.append(rounded(np.array(identified.parameters), GUESS_BITS))
         return guesses
 
-    def _search_problem(self, fits: WindowedFits, base: RolloutFit) -> SearchProblem:
-        plant, (adaptation, validation) = self.recordings.plant, self.episodes
-        robot = self.recordings.strategy.robot
+
+@dataclass(frozen=True)
+class Refitted:
+    """A setup's episodes in windows, and the nominal form refitted on them, `base`."""
+
+    setup: Setup
+    fits: WindowedFits
+    base: Candidate
+
+    @cached_property
+    def problem(self) -> SearchProblem:
+        """What is searched, made when it is first asked for."""
+        setup, fits, base = self.setup, self.fits, self.base.fit
+        plant, (adaptation, validation) = setup.recordings.plant, setup.episodes
+        robot = setup.recordings.strategy.robot
         periodic = {
-            t: spatial_periods(plant, self.quality, joint(t), adaptation)
-            for t in self.recordings.terms
+            t: spatial_periods(plant, setup.quality, joint(t), adaptation)
+            for t in setup.recordings.terms
             if kind(t).periodic
         }
         short_s, screened = SETUP.screening_window_s, adaptation
         if robot:
             both = [*adaptation, *validation]
-            pieces = in_pieces(plant, both, fits.scheme, fits.length_s, self.merged)
+            pieces = in_pieces(plant, both, fits.scheme, fits.length_s, setup.merged)
             fits = replace(fits, pieces=pieces)
             fewest_s = SETUP.fewest_samples * max(e.period_s for e in adaptation)
             short_s = min(short_s, max(fits.length_s / SETUP.pieces, fewest_s))
@@ -240,7 +252,7 @@ class Setup:
             short_s = min(short_s, fits.length_s)
         return SearchProblem(
             fits,
-            Stack.cut(plant, screened, fits.scheme, short_s, self.merged),
+            Stack.cut(plant, screened, fits.scheme, short_s, setup.merged),
             base,
             plant.parameters,
             {t: guesses for t, (guesses, _) in periodic.items()},

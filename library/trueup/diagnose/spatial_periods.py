@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import singledispatch
-from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,17 +59,19 @@ def spatial_periods(
         own / np.maximum(np.linalg.norm(own, axis=0), 1e-300), full_matrices=False
     )
     basis = basis[:, shown > SHOWN * shown[0]]
-    rest, swung = missing - basis @ (basis.T @ missing), waves - basis @ (basis.T @ waves)
-    sine, cosine = swung[:, : len(rates)], swung[:, len(rates) :]
+    rest = missing - basis @ (basis.T @ missing)
+    sine, cosine = waves[:, : len(rates)], waves[:, len(rates) :]
+    on_terms = basis.T @ waves
+    # squares and products of waves, less what the form's own terms can take of them
+    whole = [_products(x, y) for x, y in ((sine, sine), (sine, cosine), (cosine, cosine))]
+    of_terms = on_terms[:, : len(rates)], on_terms[:, len(rates) :]
     inner = [
-        np.einsum("ri,ri->i", x, y) for x, y in ((sine, sine), (sine, cosine), (cosine, cosine))
+        square - _products(of_terms[x], of_terms[y])
+        for square, (x, y) in zip(whole, ((0, 0), (0, 1), (1, 1)), strict=True)
     ]
     at = rest @ sine, rest @ cosine
     across = inner[0] * inner[2] - inner[1] ** 2
-    flat = (
-        across <= FLAT * np.einsum("ri,ri->i", waves[:, : len(rates)], waves[:, : len(rates)]) ** 2
-    )
-    across = np.where(flat, np.inf, across)
+    across = np.where(across <= FLAT * whole[0] ** 2, np.inf, across)
     taken = rounded(
         (inner[2] * at[0] ** 2 - 2.0 * inner[1] * at[0] * at[1] + inner[0] * at[1] ** 2) / across
     )
@@ -97,6 +99,11 @@ def spatial_periods(
             )
         )
     return guesses, float(taken.max() / max(rest @ rest, 1e-300))
+
+
+def _products(x: Array, y: Array) -> Array:
+    """The inner product of each column of `x` with that of `y`, `(columns,)`."""
+    return np.asarray(np.einsum("ri,ri->i", x, y))
 
 
 def _rows(
@@ -131,24 +138,30 @@ def _rows(
     own, missing = _terms(
         plant, joint, middle, np.diff(states[:, joints:], axis=0) / h[:, None], issued
     )
-    phase = 2.0 * np.pi * middle[:, joint, None] * rates
-    waves = np.concatenate([np.sin(phase), np.cos(phase)], axis=1)
     known: NDArray[np.bool_] = np.isfinite(middle).all(axis=1) & np.isfinite(missing)
-    starts = np.arange(0, len(h) - span, span)
-    whole = (
-        np.array([known[a:b].all() for a, b in pairwise([*starts, starts[-1] + span])])
-        if len(starts)
-        else np.zeros(0, np.bool_)
-    )
+    count = len(range(0, len(h) - span, span))
+
+    def by_span(x: Array | NDArray[np.bool_]) -> NDArray[Any]:
+        return x[: count * span].reshape(count, span, *x.shape[1:])
+
+    whole = by_span(known).all(axis=1)
+    h, place = by_span(h)[whole], by_span(middle[:, joint])[whole]
+    # the rates lie at equal distances: each wave is a coarse one turned on by a fine one
+    fine = np.arange(np.ceil(np.sqrt(len(rates)))) * (rates[1] - rates[0])
+    turned = [_turned(place, some) for some in (rates[:: len(fine)], fine)]
+    waves = (turned[0] * h[..., None]).transpose(0, 2, 1) @ turned[1]
+    waves = waves.reshape(len(h), -1)[:, : len(rates)]
 
     def summed(x: Array) -> Array:
-        x = np.where(
-            known if x.ndim == 1 else known[:, None], (h if x.ndim == 1 else h[:, None]) * x, 0.0
-        )
-        total = np.concatenate([np.zeros_like(x[:1]), np.cumsum(x, axis=0)])
-        return np.asarray((total[starts + span] - total[starts])[whole])
+        return np.asarray(np.einsum("ks,ks...->k...", h, by_span(x)[whole]))
 
-    return summed(own), summed(waves), summed(missing)
+    return summed(own), np.concatenate([waves.imag, waves.real], axis=1), summed(missing)
+
+
+def _turned(place: Array, rates: Array) -> NDArray[np.complex128]:
+    """Waves of some rates at places `(spans, samples)`, as complex numbers `(spans, samples,
+    rates)`."""
+    return np.asarray(np.exp(place[..., None] * (2j * np.pi * rates)))
 
 
 @singledispatch

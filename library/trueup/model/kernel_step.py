@@ -26,7 +26,7 @@ from trueup.model.ports import (
     V,
     at,
 )
-from trueup.model.rigid_body import crba, joint_forces, rnea
+from trueup.model.rigid_body import crba, joint_forces, lanes_of, rnea
 from trueup.model.tree import DAMPING, FRICTION, GAIN, JOINT, LIMIT, LINK, OFFSET, SERVO
 
 
@@ -54,7 +54,7 @@ def accelerate(
             v[j, lane], u[j, lane] = here[at(V, lane)], here[at(U, lane)]
     crba(tree, p, q_at, links, inverse_mass)  # the mass matrix, which is inverted in place
     for j in range(n):
-        own = inverse_mass[j, j * BLOCK : (j + 1) * BLOCK]
+        own = inverse_mass[j, lanes_of(j)]
         damping = p[LINK * n + JOINT * j + DAMPING]
         for lane in range(BLOCK):
             own[lane] += (1.0 - alpha) * common[at(H, lane)] * damping[lane]
@@ -64,7 +64,7 @@ def accelerate(
     if alpha > 0.0:
         for j in range(n):
             for k in range(n):
-                to, by, here = v_at[j], inverse_mass[j, k * BLOCK : (k + 1) * BLOCK], forces[k]
+                to, by, here = v_at[j], inverse_mass[j, lanes_of(k)], forces[k]
                 more = beyond[k]  # what effects did in the last step
                 for lane in range(BLOCK):
                     to[lane] += alpha * common[at(H, lane)] * by[lane] * (here[lane] + more[lane])
@@ -147,7 +147,7 @@ def move_tree(
             )
             free[j, lane] = here[at(V, lane)]
         for k in range(n):
-            to, coupled = free[j], inverse_mass[j, k * BLOCK : (k + 1) * BLOCK]
+            to, coupled = free[j], inverse_mass[j, lanes_of(k)]
             other = signals[k]
             for lane in range(BLOCK):
                 to[lane] += common[at(H, lane)] * coupled[lane] * sizes[k] * other[at(A, lane)]

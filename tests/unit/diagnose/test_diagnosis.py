@@ -327,7 +327,7 @@ def test_either_sign_of_an_effect_is_named(effect, seed):
 def test_a_lag_below_one_sample_is_no_effect():
     plant, episodes, _ = recorded("A0", [], 5)
     recordings = Recordings.of(plant, episodes)
-    problem, _ = Setup(recordings, assess(plant, episodes), DECLARED).problem(1)
+    problem = Setup(recordings, assess(plant, episodes), DECLARED).refitted(1).problem
     search, fitter, data = Search(problem, candidates={}), problem.fitter, problem.adaptation
     values = fitter.initial_values(plant.parameters)
     for periods, resolved in ((0.5, False), (3.0, True)):

@@ -23,8 +23,9 @@ def case():
     plant, episodes, _ = recorded("A1", ["coulomb_friction"], 8)
     recordings = Recordings.of(plant, episodes)
     quality = assess(plant, recordings.adaptation)
-    problem, base = Setup(recordings, quality, refined(plant)).problem(1)
-    return plant, quality, Search(problem, candidates={Hypothesis(): base}), recordings
+    refitted = Setup(recordings, quality, refined(plant)).refitted(1)
+    search = Search(refitted.problem, candidates={Hypothesis(): refitted.base})
+    return plant, quality, search, recordings
 
 
 def having(search, effect, part=0.3):

@@ -258,7 +258,8 @@ def test_thinned_samples_are_rolled_out_in_merged_steps_that_differ_by_little(pl
     assert setup.thinned_by == 3
     assert setup.merged == min(3, mergeable(plant))
     assert Setup(recordings, setup.quality, DECLARED).merged == 1
-    problem, base = setup.problem(1)
+    refitted = setup.refitted(1)
+    problem, base = refitted.problem, refitted.base
     (s,) = problem.adaptation
     (apart,) = (series(plant, e, setup.scheme, problem.fits.length_s) for e in setup.episodes[0])
     assert s.steps.sum() * setup.merged == pytest.approx(apart.steps.sum(), rel=0.05)
@@ -274,7 +275,8 @@ def test_a_robot_is_searched_in_shorter_windows_where_a_fit_ends_far_behind_none
     (episode,) = recorded(plant, rubs, (0,), ("adaptation",))
     other = replace(episode, role=Role.VALIDATION, digest="other")
     recordings = Recordings.of(plant, [episode, other])
-    problem, base = Setup(recordings, assess(plant, [episode]), DECLARED).problem(1)
+    refitted = Setup(recordings, assess(plant, [episode]), DECLARED).refitted(1)
+    problem, base = refitted.problem, refitted.base
     search = Search(problem, candidates={base.hypothesis: base})
     far = replace(base.fit, hypothesis=Hypothesis() | "cogging", cost=times * base.fit.cost)
     search.candidates[far.hypothesis] = Candidate(far, base.check)
