@@ -18,6 +18,7 @@ from trueup.model.stack import Part
 Array = NDArray[np.float64]
 Lanes = NDArray[np.int64]
 EVEN = 1e-3  # of a period: stamps that are so regular
+AT_ONCE = 64  # samples whose products are added up together
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,38 +150,50 @@ def _summed(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Outer products of (kept derivatives, error, fresh derivatives) summed over each window, below
     the diagonal; those of the kept ones are there."""
-    kept, size, channels = rows.shape[2], into.shape[1], observed.shape[1]
-    row, new = np.zeros(size), np.zeros(size)
-    before, last = np.zeros((channels, size)), np.full(channels, -1)
-    for i in range(len(observed)):
-        for c in range(channels):
-            w = window_of[i, c]
-            if w < 0 or weight[i, c] == 0.0:
+    kept, size = rows.shape[2], into.shape[1]
+    some, before = np.zeros((size, AT_ONCE)), np.zeros(size)
+    for c in range(observed.shape[1]):
+        window, last, count = -1, -1, 0
+        for i in range(len(observed)):
+            w, by = window_of[i, c], weight[i, c]
+            if w < 0 or by == 0.0:
                 continue
-            per = inverse[episode_of[w]]
+            if count and (w != window or count == AT_ONCE):
+                _add_products(some, count, kept, into, window)
+                count = 0
+            if w != window:
+                window, last = w, -1
+            e = episode_of[w]
             for b in range(kept):
-                row[b] = rows[i, c, b]
-            row[kept] = (observed[i, c] - out[i, c, 0]) * weight[i, c]
+                some[b, count] = rows[i, c, b]
+            some[kept, count] = (observed[i, c] - out[i, c, 0]) * by
             for b in range(len(lanes)):
-                row[kept + 1 + b] = (
-                    (out[i, c, lanes[b]] - out[i, c, against[b]]) * per[lanes[b]] * weight[i, c]
-                )
-            if correlation[c] == 0.0:
-                for a in range(kept, size):
-                    for b in range(a + 1):
-                        into[w, a, b] += row[a] * row[b]
-                continue
-            if last[c] >= 0 and window_of[last[c], c] != w:
-                last[c] = -1
-            part = _expected(correlation[c], t_s, periods_s[w], i, last[c])
-            over = 1.0 / np.sqrt(1.0 - part * part)
-            for b in range(size):
-                new[b] = (row[b] - part * before[c, b]) * over
-                before[c, b] = row[b]
-            last[c] = i
-            for a in range(kept, size):
-                for b in range(a + 1):
-                    into[w, a, b] += new[a] * new[b]
+                moved = out[i, c, lanes[b]] - out[i, c, against[b]]
+                some[kept + 1 + b, count] = moved * inverse[e, lanes[b]] * by
+            if correlation[c] != 0.0:
+                part = _expected(correlation[c], t_s, periods_s[w], i, last)
+                over = 1.0 / np.sqrt(1.0 - part * part)
+                for b in range(size):
+                    one = some[b, count]
+                    some[b, count] = (one - part * before[b]) * over
+                    before[b] = one
+                last = i
+            count += 1
+        if count:
+            _add_products(some, count, kept, into, window)
+
+
+# sums in any order, and so in vectors
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def _add_products(some, count, kept, into, window):  # type: ignore[no-untyped-def]
+    """Add the products of `some` rows `(size, AT_ONCE)`, of which the first `count` columns are
+    filled, to a window's."""
+    for a in range(kept, into.shape[1]):
+        for b in range(a + 1):
+            added = 0.0
+            for s in range(count):
+                added += some[a, s] * some[b, s]
+            into[window, a, b] += added
 
 
 @njit(cache=True, nogil=True)
