@@ -239,7 +239,7 @@ def side_by_side(
 
     def in_windows(part: Part, out: Array) -> list[Array]:
         lanes = [FILTERS + k for k in range(len(models))]
-        return [np.asarray(out[windows[part.first].rows][:, :, :, lane]) for lane in lanes]
+        return [out[:, :, lane][windows[part.first].rows] for lane in lanes]
 
     asked = RolloutOf(stack, p, init, gains)
     rolled = roll_parts(one.plant.form, on, asked, in_windows, alone=True)
