@@ -35,18 +35,19 @@ class KeptDerivatives:
 class Errors:
     """What a rollout of a stack is compared with, and what an error counts.
 
-    `observed` and `weight` `(samples, 2 x joints)`, the inverse standard deviation of the noise, 0
-    where nothing was seen; `window_of` the window that a sample is an error of; `t_s` `(samples,)`
-    [s]. `correlation` `(2 x joints,)` is that of the noise with itself one period before, of a
-    window `periods_s` `(windows,)` [s]: errors are taken less what the noise of the last one leads
-    to expect. The first error of a window counts as it is. `episode_of` `(windows,)` is a window's
-    episode. Source: D. Cochrane, G. H. Orcutt, Journal of the American Statistical Association 44
-    (1949); for the first error S. J. Prais, C. B. Winsten, Cowles Commission Discussion Paper 383
-    (1954).
+    `observed` and `counts` `(samples, 2 x joints)`, how much each counts, 0 where nothing was seen;
+    `sigma` `(2 x joints,)` the standard deviation of the noise; `window_of` the window that a
+    sample is an error of; `t_s` `(samples,)` [s]. `correlation` `(2 x joints,)` is that of the
+    noise with itself one period before, of a window `periods_s` `(windows,)` [s]: errors are taken
+    less what the noise of the last one leads to expect. The first error of a window counts as it
+    is. `episode_of` `(windows,)` is a window's episode. Source: D. Cochrane, G. H. Orcutt, Journal
+    of the American Statistical Association 44 (1949); for the first error S. J. Prais, C. B.
+    Winsten, Cowles Commission Discussion Paper 383 (1954).
     """
 
     observed: Array
-    weight: Array
+    counts: Array
+    sigma: Array
     window_of: NDArray[np.int64]
     t_s: Array
     periods_s: Array
@@ -57,7 +58,8 @@ class Errors:
         samples = part.samples
         return (
             self.observed[samples],
-            self.weight[samples],
+            self.counts[samples],
+            self.sigma,
             self.window_of[samples],
             self.t_s[samples],
             self.periods_s,
@@ -90,8 +92,10 @@ class Errors:
     ) -> None:
         """Write the derivatives by `lanes` of a part's rollout, weighed as errors are, `into`
         `(samples, 2 x joints, lanes)`."""
-        window_of, weight = self.window_of[part.samples], self.weight[part.samples]
-        _derivatives(out, weight, window_of, self.episode_of, inverse, lanes, into[part.samples])
+        _, counts, sigma, window_of, *_ = self._of(part)
+        _derivatives(
+            out, counts, sigma, window_of, self.episode_of, inverse, lanes, into[part.samples]
+        )
 
     def add_costs(self, part: Part, out: Array, into: Array) -> None:
         """Add the squared errors of each window and lane of a part's rollout `into` `(windows,
@@ -109,20 +113,22 @@ def _expected(phi, t_s, period_s, i, last):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _costs(out, observed, weight, window_of, t_s, periods_s, correlation, into):  # type: ignore[no-untyped-def]
+def _costs(  # type: ignore[no-untyped-def]
+    out, observed, counts, sigma, window_of, t_s, periods_s, correlation, into
+):
     """Sums of squared errors by window and lane."""
     for c in range(observed.shape[1]):
         before, last = np.zeros(out.shape[2]), -1
         for i in range(len(observed)):
-            w = window_of[i, c]
-            if w < 0 or weight[i, c] == 0.0:
+            w, by = window_of[i, c], counts[i, c] / sigma[c]
+            if w < 0 or by == 0.0:
                 continue
             if last >= 0 and window_of[last, c] != w:
                 last = -1
             part = _expected(correlation[c], t_s, periods_s[w], i, last)
             over = 1.0 / np.sqrt(1.0 - part * part)
             for b in range(out.shape[2]):
-                missed = (observed[i, c] - out[i, c, b]) * weight[i, c]
+                missed = (observed[i, c] - out[i, c, b]) * by
                 new = (missed - part * before[b]) * over
                 before[b] = missed
                 into[w, b] += new * new
@@ -130,23 +136,25 @@ def _costs(out, observed, weight, window_of, t_s, periods_s, correlation, into):
 
 
 @njit(cache=True, nogil=True)
-def _derivatives(out, weight, window_of, episode_of, inverse, lanes, into):  # type: ignore[no-untyped-def]
+def _derivatives(  # type: ignore[no-untyped-def]
+    out, counts, sigma, window_of, episode_of, inverse, lanes, into
+):
     """Derivatives by differences of lanes, weighed as errors are; 0 where nothing counts."""
     for i in range(out.shape[0]):
         for c in range(out.shape[1]):
-            w = window_of[i, c]
+            w, by = window_of[i, c], counts[i, c] / sigma[c]
             for b in range(len(lanes)):
-                if w >= 0 and weight[i, c] > 0.0:
+                if w >= 0 and by > 0.0:
                     moved = out[i, c, lanes[b]] - out[i, c, 0]
-                    into[i, c, b] = moved * inverse[episode_of[w], lanes[b]] * weight[i, c]
+                    into[i, c, b] = moved * inverse[episode_of[w], lanes[b]] * by
                 else:
                     into[i, c, b] = 0.0
 
 
 @njit(cache=True, nogil=True)
 def _summed(  # type: ignore[no-untyped-def]
-    out, observed, weight, window_of, t_s, periods_s, correlation, episode_of, inverse, lanes,
-    against, rows, into,
+    out, observed, counts, sigma, window_of, t_s, periods_s, correlation, episode_of, inverse,
+    lanes, against, rows, into,
 ):  # fmt: skip
     """Outer products of (kept derivatives, error, fresh derivatives) summed over each window, below
     the diagonal; those of the kept ones are there."""
@@ -155,7 +163,7 @@ def _summed(  # type: ignore[no-untyped-def]
     for c in range(observed.shape[1]):
         window, last, count = -1, -1, 0
         for i in range(len(observed)):
-            w, by = window_of[i, c], weight[i, c]
+            w, by = window_of[i, c], counts[i, c] / sigma[c]
             if w < 0 or by == 0.0:
                 continue
             if count and (w != window or count == AT_ONCE):

@@ -58,7 +58,7 @@ class Objective:
     def of(rollouts: Rollouts, task: Task) -> Objective:
         """The objective of a task."""
         weight, centre = rollouts.expected(task.free)
-        return Objective(rollouts, task, rollouts.samples(task.stack.series), weight, centre)
+        return Objective(rollouts, task, rollouts.samples(task.stack), weight, centre)
 
     def prior(self, cost: float) -> Array:
         """Diagonal of the prior's normal matrix `(free,)` at a cost."""

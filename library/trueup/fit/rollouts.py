@@ -194,8 +194,7 @@ class Rollouts:
 
     def samples(self, data: Sequence[Series]) -> int:
         """Numbers that are compared."""
-        s = Stack.of(data)
-        return int((s.usable & (s.window_of >= 0)[:, None] & np.isfinite(self.sigma)).sum())
+        return int(Stack.of(data).usable_in_windows[np.isfinite(self.sigma)].sum())
 
     def task(self, data: Sequence[Series], hypothesis: Hypothesis, free: Free) -> Task:
         """What is fitted: some series by a hypothesis, with the numbers that are free."""
@@ -356,7 +355,8 @@ class Rollouts:
         window_of, counts = stack.seen(self._late_s(hypothesis, values))
         return Errors(
             stack.observed,
-            counts / self.sigma,
+            counts,
+            self.sigma,
             window_of,
             stack.t_s,
             stack.periods_of_windows,

@@ -119,6 +119,11 @@ class Stack(Sequence[Series]):
         return tuple(s.digest for s in self.series)
 
     @cached_property
+    def usable_in_windows(self) -> NDArray[np.int64]:
+        """How many samples of each position and velocity are compared, `(2 x joints,)`."""
+        return np.asarray((self.usable & (self.window_of >= 0)[:, None]).sum(axis=0))
+
+    @cached_property
     def periods_of_windows(self) -> Array:
         """The period of each window's samples [s], `(windows,)`."""
         return self.periods_s[self.episode_of]
