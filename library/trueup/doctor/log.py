@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.doctor.balance import Balance, balances
+from trueup.doctor.kinematics import Kinematics, kinematics
 from trueup.doctor.mends import Mend
 from trueup.episode.episode import Episode
 from trueup.episode.layout import Channel
@@ -41,6 +42,12 @@ class Log:
     def balances(self) -> list[Balance | None]:
         """For each joint, how well the nominal model's form explains the log."""
         return balances(self.plant, self.episodes)
+
+    @cached_property
+    def kinematics(self) -> list[Kinematics | None]:
+        """For each joint, how its logged velocity lies against its position."""
+        every = range(len(self.plant.joints))
+        return [kinematics(self.plant, self.episodes, joint) for joint in every]
 
     def joint(self, joint: int) -> str | None:
         """A joint's name, None where the plant gives it none."""

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from trueup.doctor.balance import interpolated
 from trueup.doctor.finding import Fault, Finding
-from trueup.doctor.kinematics import kinematics
 from trueup.doctor.log import Log
 from trueup.doctor.mends import Masked
 from trueup.doctor.tuning import CLOCK, KINEMATICS, SAMPLE
@@ -143,7 +142,7 @@ def _speeds(log: Log, e: Episode, joint: int) -> Array | None:
     """A joint's velocity in the unit of its position, without its offset, and 0 where it is no more
     than that of a joint at rest; None where it is not logged."""
     velocity = log.velocity(joint)
-    known = kinematics(log.plant, log.episodes, joint) if velocity is not None else None
+    known = log.kinematics[joint] if velocity is not None else None
     if velocity is None or known is None or abs(known.correlation) < KINEMATICS.correlated:
         return None
     logged = e.observations[:, velocity]

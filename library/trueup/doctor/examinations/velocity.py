@@ -27,7 +27,7 @@ def _of_joint(log: Log, joint: int) -> list[Finding]:
     at = log.velocity(joint)
     if at is None:
         return []
-    whole = kinematics(log.plant, log.episodes, joint)
+    whole = log.kinematics[joint]
     if whole is None:
         return []
     moving = KINEMATICS.moving * float(np.std(log.values(at)))
