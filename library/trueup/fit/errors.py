@@ -18,7 +18,7 @@ from trueup.model.stack import Part
 Array = NDArray[np.float64]
 Lanes = NDArray[np.int64]
 EVEN = 1e-3  # of a period: stamps that are so regular
-AT_ONCE = 64  # samples whose products are added up together
+AT_ONCE = 64  # samples whose products are added up together, a multiple of four
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,16 +191,22 @@ def _summed(  # type: ignore[no-untyped-def]
             _add_products(some, count, kept, into, window)
 
 
-# sums in any order, and so in vectors
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+@njit(cache=True, nogil=True)
 def _add_products(some, count, kept, into, window):  # type: ignore[no-untyped-def]
     """Add the products of `some` rows `(size, AT_ONCE)`, of which the first `count` columns are
-    filled, to a window's."""
+    filled, to a window's.
+
+    Four columns at a time, so that no sum waits for the one before it; in one order on every
+    processor.
+    """
+    end = -(-count // 4) * 4
+    some[:, count:end] = 0.0
     for a in range(kept, into.shape[1]):
         for b in range(a + 1):
             added = 0.0
-            for s in range(count):
-                added += some[a, s] * some[b, s]
+            for s in range(0, end, 4):
+                first = some[a, s] * some[b, s] + some[a, s + 1] * some[b, s + 1]
+                added += first + (some[a, s + 2] * some[b, s + 2] + some[a, s + 3] * some[b, s + 3])
             into[window, a, b] += added
 
 
