@@ -167,6 +167,7 @@ def _summed(  # type: ignore[no-untyped-def]
             if w < 0 or by == 0.0:
                 continue
             if count and (w != window or count == AT_ONCE):
+                _add_squares(some, count, kept, into, window)
                 _add_products(some, count, kept, into, window)
                 count = 0
             if w != window:
@@ -188,25 +189,32 @@ def _summed(  # type: ignore[no-untyped-def]
                 last = i
             count += 1
         if count:
+            _add_squares(some, count, kept, into, window)
             _add_products(some, count, kept, into, window)
 
 
 @njit(cache=True, nogil=True)
-def _add_products(some, count, kept, into, window):  # type: ignore[no-untyped-def]
-    """Add the products of `some` rows `(size, AT_ONCE)`, of which the first `count` columns are
-    filled, to a window's.
+def _add_squares(some, count, kept, into, window):  # type: ignore[no-untyped-def]
+    """Add the squares of the errors, `some[kept]`, to a window's: four at a time, so that no sum
+    waits for the one before it, and in one order on every processor, for costs are compared."""
+    end, added = -(-count // 4) * 4, 0.0
+    some[kept, count:end] = 0.0
+    for s in range(0, end, 4):
+        first = some[kept, s] ** 2 + some[kept, s + 1] ** 2
+        added += first + (some[kept, s + 2] ** 2 + some[kept, s + 3] ** 2)
+    into[window, kept, kept] += added
 
-    Four columns at a time, so that no sum waits for the one before it; in one order on every
-    processor.
-    """
-    end = -(-count // 4) * 4
-    some[:, count:end] = 0.0
+
+# in the order that suits the processor, as linear algebra is, to which these products go
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def _add_products(some, count, kept, into, window):  # type: ignore[no-untyped-def]
+    """Add all other products of `some` rows `(size, AT_ONCE)`, of which the first `count` columns
+    are filled, to a window's."""
     for a in range(kept, into.shape[1]):
-        for b in range(a + 1):
+        for b in range(a + (a > kept)):
             added = 0.0
-            for s in range(0, end, 4):
-                first = some[a, s] * some[b, s] + some[a, s + 1] * some[b, s + 1]
-                added += first + (some[a, s + 2] * some[b, s + 2] + some[a, s + 3] * some[b, s + 3])
+            for s in range(count):
+                added += some[a, s] * some[b, s]
             into[window, a, b] += added
 
 
