@@ -1,6 +1,6 @@
 """1,000 flipped bytes and every cut tail, on both storages: how many does the verification find?
 
-`FLIPS` and `STORAGES` choose less.
+Environment: `FLIPS`, how many (1000); `STORAGES`, `embedded`, `scaled` or both.
 """
 
 from __future__ import annotations

@@ -105,7 +105,7 @@ def flip_row(parts: Parts, rng: random.Random) -> Flip:
         changed = _changed(row[column.name], column.type, rng)
         if column.primary_key and any(r[column.name] == changed for r in rows):
             continue
-        if isinstance(changed, str) and "\0" in changed:
+        if not parts.database.is_sqlite and isinstance(changed, str) and "\0" in changed:
             continue  # PostgreSQL holds no such text
         return _write(parts, table, row, column, changed)
 

@@ -60,16 +60,10 @@ def spatial_periods(
     )
     basis = basis[:, shown > SHOWN * shown[0]]
     rest = missing - basis @ (basis.T @ missing)
-    sine, cosine = waves[:, : len(rates)], waves[:, len(rates) :]
-    on_terms = basis.T @ waves
-    # squares and products of waves, less what the form's own terms can take of them
-    whole = [_products(x, y) for x, y in ((sine, sine), (sine, cosine), (cosine, cosine))]
-    of_terms = on_terms[:, : len(rates)], on_terms[:, len(rates) :]
-    inner = [
-        square - _products(of_terms[x], of_terms[y])
-        for square, (x, y) in zip(whole, ((0, 0), (0, 1), (1, 1)), strict=True)
-    ]
-    at = rest @ sine, rest @ cosine
+    # less what the form's own terms can take of the waves
+    whole = _products(waves)
+    inner = [x - taken for x, taken in zip(whole, _products(basis.T @ waves), strict=True)]
+    at = np.split(rest @ waves, 2)
     across = inner[0] * inner[2] - inner[1] ** 2
     across = np.where(across <= FLAT * whole[0] ** 2, np.inf, across)
     taken = rounded(
@@ -101,9 +95,12 @@ def spatial_periods(
     return guesses, float(taken.max() / max(rest @ rest, 1e-300))
 
 
-def _products(x: Array, y: Array) -> Array:
-    """The inner product of each column of `x` with that of `y`, `(columns,)`."""
-    return np.asarray(np.einsum("ri,ri->i", x, y))
+def _products(waves: Array) -> list[Array]:
+    """Of sines and then cosines `(rows, 2 x rates)`, the inner products of each sine with itself,
+    with its cosine, and of the cosine with itself, `(rates,)` each."""
+    sine, cosine = np.hsplit(waves, 2)
+    pairs = ((sine, sine), (sine, cosine), (cosine, cosine))
+    return [np.einsum("ri,ri->i", x, y) for x, y in pairs]
 
 
 def _rows(
@@ -139,18 +136,19 @@ def _rows(
         plant, joint, middle, np.diff(states[:, joints:], axis=0) / h[:, None], issued
     )
     known: NDArray[np.bool_] = np.isfinite(middle).all(axis=1) & np.isfinite(missing)
-    count = len(range(0, len(h) - span, span))
+    count = max(len(h) - 1, 0) // span
 
     def by_span(x: Array | NDArray[np.bool_]) -> NDArray[Any]:
         return x[: count * span].reshape(count, span, *x.shape[1:])
 
     whole = by_span(known).all(axis=1)
     h, place = by_span(h)[whole], by_span(middle[:, joint])[whole]
-    # the rates lie at equal distances: each wave is a coarse one turned on by a fine one
+    # the rates are evenly spaced, and exp(i (a + b)) is exp(i a) exp(i b): a few coarse and a few
+    # fine waves give all
     fine = np.arange(np.ceil(np.sqrt(len(rates)))) * (rates[1] - rates[0])
-    turned = [_turned(place, some) for some in (rates[:: len(fine)], fine)]
-    waves = (turned[0] * h[..., None]).transpose(0, 2, 1) @ turned[1]
-    waves = waves.reshape(len(h), -1)[:, : len(rates)]
+    coarse, offset = (_waves(place, some) for some in (rates[:: len(fine)], fine))
+    products = (coarse * h[..., None]).transpose(0, 2, 1) @ offset
+    waves = products.reshape(len(h), coarse.shape[2] * len(fine))[:, : len(rates)]
 
     def summed(x: Array) -> Array:
         return np.asarray(np.einsum("ks,ks...->k...", h, by_span(x)[whole]))
@@ -158,9 +156,9 @@ def _rows(
     return summed(own), np.concatenate([waves.imag, waves.real], axis=1), summed(missing)
 
 
-def _turned(place: Array, rates: Array) -> NDArray[np.complex128]:
-    """Waves of some rates at places `(spans, samples)`, as complex numbers `(spans, samples,
-    rates)`."""
+def _waves(place: Array, rates: Array) -> NDArray[np.complex128]:
+    """Waves of some rates at places `(spans, samples)`: cosines, and as the imaginary part sines,
+    `(spans, samples, rates)`."""
     return np.asarray(np.exp(place[..., None] * (2j * np.pi * rates)))
 
 

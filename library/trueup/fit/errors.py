@@ -103,7 +103,7 @@ class Errors:
         _costs(out, *self._of(part), into)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _expected(phi, t_s, period_s, i, last):  # type: ignore[no-untyped-def]
     """How much of its noise a sample has from the last one, `last`, -1 where there is none."""
     if phi == 0.0 or last < 0:
@@ -112,7 +112,7 @@ def _expected(phi, t_s, period_s, i, last):  # type: ignore[no-untyped-def]
     return phi if abs(steps - 1.0) < EVEN else phi**steps
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _costs(  # type: ignore[no-untyped-def]
     out, observed, counts, sigma, window_of, t_s, periods_s, correlation, into
 ):
@@ -125,6 +125,7 @@ def _costs(  # type: ignore[no-untyped-def]
                 continue
             if last >= 0 and window_of[last, c] != w:
                 last = -1
+                before[:] = 0.0  # what ran away in one window is none of the next
             part = _expected(correlation[c], t_s, periods_s[w], i, last)
             over = 1.0 / np.sqrt(1.0 - part * part)
             for b in range(out.shape[2]):
@@ -135,7 +136,7 @@ def _costs(  # type: ignore[no-untyped-def]
             last = i
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _derivatives(  # type: ignore[no-untyped-def]
     out, counts, sigma, window_of, episode_of, inverse, lanes, into
 ):
@@ -151,7 +152,7 @@ def _derivatives(  # type: ignore[no-untyped-def]
                     into[i, c, b] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _summed(  # type: ignore[no-untyped-def]
     out, observed, counts, sigma, window_of, t_s, periods_s, correlation, episode_of, inverse,
     lanes, against, rows, into,
@@ -167,11 +168,11 @@ def _summed(  # type: ignore[no-untyped-def]
             if w < 0 or by == 0.0:
                 continue
             if count and (w != window or count == AT_ONCE):
-                _add_squares(some, count, kept, into, window)
-                _add_products(some, count, kept, into, window)
+                _add(some, count, kept, into, window)
                 count = 0
             if w != window:
                 window, last = w, -1
+                before[:] = 0.0  # what ran away in one window is none of the next
             e = episode_of[w]
             for b in range(kept):
                 some[b, count] = rows[i, c, b]
@@ -189,14 +190,22 @@ def _summed(  # type: ignore[no-untyped-def]
                 last = i
             count += 1
         if count:
-            _add_squares(some, count, kept, into, window)
-            _add_products(some, count, kept, into, window)
+            _add(some, count, kept, into, window)
+
+
+@njit(cache=True, nogil=True)
+def _add(some, count, kept, into, window):  # type: ignore[no-untyped-def]
+    """Add the products of rows (kept derivatives, error, fresh derivatives), `some` `(size,
+    AT_ONCE)` of which the first `count` columns are filled, to a window's, but those of kept
+    ones."""
+    _add_squares(some, count, kept, into, window)
+    _add_products(some, count, kept, into, window)
 
 
 @njit(cache=True, nogil=True)
 def _add_squares(some, count, kept, into, window):  # type: ignore[no-untyped-def]
-    """Add the squares of the errors, `some[kept]`, to a window's: four at a time, so that no sum
-    waits for the one before it, and in one order on every processor, for costs are compared."""
+    """Add the squares of the errors, `some[kept]`, to a window's, in one order on every processor,
+    for costs are compared; in fours, so that only one addition in four waits for the one before."""
     end, added = -(-count // 4) * 4, 0.0
     some[kept, count:end] = 0.0
     for s in range(0, end, 4):
@@ -205,11 +214,11 @@ def _add_squares(some, count, kept, into, window):  # type: ignore[no-untyped-de
     into[window, kept, kept] += added
 
 
-# in the order that suits the processor, as linear algebra is, to which these products go
+# the compiler may reorder these sums: they go to linear algebra alone, whose own order differs by
+# processor
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
 def _add_products(some, count, kept, into, window):  # type: ignore[no-untyped-def]
-    """Add all other products of `some` rows `(size, AT_ONCE)`, of which the first `count` columns
-    are filled, to a window's."""
+    """Add all other products to a window's."""
     for a in range(kept, into.shape[1]):
         for b in range(a + (a > kept)):
             added = 0.0
