@@ -24,11 +24,23 @@ def series_of(commands, observed, period_s, u_scale, begins=0, every=100):
     steps = np.ones(samples, np.int64)
     steps[-1] = 0
     return Series(
-        "series", Scheme(0.5, 1), t, np.full(samples, period_s), steps, commands,
-        np.zeros_like(commands), integral_of(commands, t), observed,
-        np.ones(observed.shape, np.bool_), np.cumsum(resets >= 0) - 1, resets,
-        np.zeros((windows, states)), np.zeros((windows, states)), period_s, np.array(u_scale),
-    )  # fmt: skip
+        t_s=t,
+        h_s=np.full(samples, period_s),
+        steps=steps,
+        issued=commands,
+        rise=np.zeros_like(commands),
+        integral=integral_of(commands, t),
+        observed=observed,
+        usable=np.ones(observed.shape, np.bool_),
+        window_of=np.cumsum(resets >= 0) - 1,
+        resets=resets,
+        digest="series",
+        scheme=Scheme(0.5, 1),
+        begin=np.zeros((windows, states)),
+        begin_by_positions=np.zeros((windows, states)),
+        period_s=period_s,
+        u_scale=np.array(u_scale),
+    )
 
 
 def rolled(form, parameters, hypothesis, s, sizes, gain=None, moved=()):

@@ -76,19 +76,13 @@ def _fastest(plant: Plant) -> float:
 
 
 @dataclass(frozen=True)
-class Series:
-    """One episode for the kernel. Arrays over its samples; `issued`, the mean command until the
-    next sample, its `rise` meanwhile and its `integral` `(samples, joints)`; `observed` `(samples,
-    2 x joints)` are positions and velocities, `usable` what counts.
+class Samples:
+    """Arrays over samples, as the kernel takes them: `t_s` [s]; `steps` of `h_s` [s] until the next
+    sample; `issued`, the mean command until then, its `rise` meanwhile and its `integral`
+    `(samples, joints)`; `observed` `(samples, 2 x joints)` are positions and velocities, `usable`
+    what counts of them; `window_of` is the window to which a sample belongs, `resets` the window
+    that starts at it, -1 where there is none."""
 
-    `window_of` is the window to which a sample belongs, `resets` the window that starts at it or
-    -1; `begin` `(windows, 2 x joints)` are first guesses of the windows' starting states,
-    `begin_by_positions` the same with velocities that positions show; `u_scale` `(joints,)` are the
-    commands' declared limits.
-    """
-
-    digest: str
-    scheme: Scheme
     t_s: Array
     h_s: Array
     steps: NDArray[np.int64]
@@ -99,6 +93,19 @@ class Series:
     usable: NDArray[np.bool_]
     window_of: NDArray[np.int64]
     resets: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Series(Samples):
+    """One episode for the kernel: its samples, and how they are integrated and cut.
+
+    `begin` `(windows, 2 x joints)` are first guesses of the windows' starting states,
+    `begin_by_positions` the same with velocities that positions show; `u_scale` `(joints,)` are the
+    commands' declared limits.
+    """
+
+    digest: str
+    scheme: Scheme
     begin: Array
     begin_by_positions: Array
     period_s: float
@@ -145,22 +152,24 @@ def whole(
         for x in plant.over_intervals(limited, ramped=scheme.ramped)
     )
     return Series(
-        episode.digest,
-        scheme,
-        t,
-        h / scheme.parts,
-        steps * scheme.parts,
-        issued,
-        rise,
-        integral_of(issued, t),
-        np.nan_to_num(observed),
-        np.isfinite(observed) & ~held_frames(observed, t),
-        np.cumsum(resets >= 0) - 1,
-        resets,
-        smoothed_states(plant, episode, first) if begin is None else begin,
-        smoothed_states(plant, episode, first, from_positions=True) if begin is None else begin,
-        episode.period_s,
-        plant.command_scales,
+        t_s=t,
+        h_s=h / scheme.parts,
+        steps=steps * scheme.parts,
+        issued=issued,
+        rise=rise,
+        integral=integral_of(issued, t),
+        observed=np.nan_to_num(observed),
+        usable=np.isfinite(observed) & ~held_frames(observed, t),
+        window_of=np.cumsum(resets >= 0) - 1,
+        resets=resets,
+        digest=episode.digest,
+        scheme=scheme,
+        begin=smoothed_states(plant, episode, first) if begin is None else begin,
+        begin_by_positions=smoothed_states(plant, episode, first, from_positions=True)
+        if begin is None
+        else begin,
+        period_s=episode.period_s,
+        u_scale=plant.command_scales,
     )
 
 

@@ -4,7 +4,7 @@ all episodes cost one call."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, overload
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from trueup.episode.episode import Episode
 from trueup.model.plant import Plant
-from trueup.model.series import Scheme, Series, seen_by, series
+from trueup.model.series import Samples, Scheme, Series, seen_by, series
 
 Array = NDArray[np.float64]
 # of a rollout, in numbers (8 MB): parts that are larger leave the processor's caches
@@ -32,27 +32,17 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Stack(Sequence[Series]):
+class Stack(Samples, Sequence[Series]):
     """Series of one scheme, one after another, and the sequence of them.
 
-    Arrays over all samples as in `Series`; `window_of` and `resets` count the windows of all
-    episodes, and -1 is none. `ends` and `window_ends` `(episodes + 1,)` are the first sample and
-    the first window of each episode, and behind them how many there are.
+    `window_of` and `resets` count the windows of all episodes. `ends` and `window_ends`
+    `(episodes + 1,)` are the first sample and the first window of each episode, and behind them how
+    many there are; `periods_s` `(episodes,)` the episodes' periods.
     """
 
     series: tuple[Series, ...]
     ends: NDArray[np.int64]
     window_ends: NDArray[np.int64]
-    t_s: Array
-    h_s: Array
-    steps: NDArray[np.int64]
-    issued: Array
-    rise: Array
-    integral: Array
-    observed: Array
-    usable: NDArray[np.bool_]
-    window_of: NDArray[np.int64]
-    resets: NDArray[np.int64]
     periods_s: Array
 
     @staticmethod
@@ -66,27 +56,19 @@ class Stack(Sequence[Series]):
         ends = np.cumsum([0, *(len(s.t_s) for s in some)])
         window_ends = np.cumsum([0, *(len(s.begin) for s in some)])
 
-        def all_of(name: str) -> NDArray[Any]:
-            return np.concatenate([getattr(s, name) for s in some])
-
         before = np.repeat(window_ends[:-1], np.diff(ends))
-        numbered = (all_of("window_of"), all_of("resets"))
-        window_of, resets = (np.where(x >= 0, x + before, -1) for x in numbered)
+        arrays: dict[str, NDArray[Any]] = {
+            f.name: np.concatenate([getattr(s, f.name) for s in some]) for f in fields(Samples)
+        }
+        for name in ("window_of", "resets"):
+            arrays[name] = np.where(arrays[name] >= 0, arrays[name] + before, -1)
+        periods_s = np.array([s.period_s for s in some])
         return Stack(
-            tuple(some),
-            ends,
-            window_ends,
-            all_of("t_s"),
-            all_of("h_s"),
-            all_of("steps"),
-            all_of("issued"),
-            all_of("rise"),
-            all_of("integral"),
-            all_of("observed"),
-            all_of("usable"),
-            window_of,
-            resets,
-            np.array([s.period_s for s in some]),
+            **arrays,
+            series=tuple(some),
+            ends=ends,
+            window_ends=window_ends,
+            periods_s=periods_s,
         )
 
     @staticmethod
