@@ -66,8 +66,13 @@ def _share_text(rate: Mapping[str, Any]) -> str:
 
 def page(document: Mapping[str, Any]) -> str:
     """Returns the report as one HTML page that loads nothing else."""
+    return render("blindtrial.html", **view(document))
+
+
+def view(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the values of the page's body."""
     trust = sorted(document["trust"], key=lambda t: (-t["n"], t["answer"]))
-    values = {
+    return {
         "d": document,
         "answer": sentence(document),
         "matrix": _matrix(document),
@@ -75,7 +80,6 @@ def page(document: Mapping[str, Any]) -> str:
         "kinds": KINDS,
         "covered": COVERED,
     }
-    return render("blindtrial.html", **values)
 
 
 def _matrix(d: Mapping[str, Any]) -> Markup:

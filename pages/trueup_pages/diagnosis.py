@@ -42,8 +42,10 @@ def view(
     figures: Mapping[str, Any] | None,
     command_file: str | None,
     episode_url: Callable[[str], str] | None = None,
+    step: object = None,
 ) -> dict[str, Any]:
-    """Returns the values of `diagnosis_body.html`."""
+    """Returns the values of `diagnosis_body.html`; `step` is what to do next, on a page of a
+    service."""
     where = report["where"]
     return {
         "d": report,
@@ -55,6 +57,7 @@ def view(
         "listed": _listed,
         "command_file": command_file,
         "episode_url": episode_url,
+        "step": step,
         "region_rows": [
             (
                 r["region"],

@@ -12,7 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from trueup.diagnose import summary_text, summary_warnings
-from trueup_pages import drawing
+from trueup_pages import copy_as, drawing
 from trueup_pages.assets import text_of, url_of
 from trueup_pages.timeline import timeline
 
@@ -41,6 +41,9 @@ def _environment() -> Environment:
         words=summary_text,
         warnings_of=summary_warnings.warnings,
         timeline=timeline,
+        command=copy_as.command,
+        rest=copy_as.rest,
+        rest_of_file=copy_as.rest_of_file,
     )
     return environment
 

@@ -1,11 +1,12 @@
-"""What is stored for a limited time: responses under idempotency keys, and uploads in parts that
-were abandoned."""
+"""What is stored for a limited time: responses under idempotency keys, and uploads in parts and
+drafts of plants that were abandoned."""
 
 from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 
 from trueup_service.actor_context import time_text
+from trueup_service.drafts import Drafts
 from trueup_service.partial_uploads import PartialUploads
 from trueup_service.registry.transaction import reading, writing
 from trueup_service.wiring import Parts
@@ -24,3 +25,4 @@ def remove_expired(parts: Parts, now: datetime | None = None) -> None:
         with writing(parts.database) as tx:
             tx.idempotency.forget(answers)
     PartialUploads(settings.data_dir).remove_old(settings.uploads_kept_s, dry_run=False)
+    Drafts(settings.data_dir).remove_old(settings.uploads_kept_s)

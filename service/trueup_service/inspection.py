@@ -21,14 +21,18 @@ from typing import Any
 import orjson
 
 from trueup.canonical import Json
-from trueup.errors import BadArtifact, BadEpisode, TrueupError
+from trueup.errors import BadArtifact, BadEpisode, BadPlant, TrueupError
 from trueup.recording.described import Described
 from trueup_service.errors import InspectionFailed
 
 LENGTH = "!Q"  # of a request or a reply, in front of it
 QUESTIONS = 200  # that one child answers about manifests, which are small
 CPU_MARGIN_S = 1
-REFUSALS: dict[str, type[TrueupError]] = {"episode": BadEpisode, "artifact": BadArtifact}
+REFUSALS: dict[str, type[TrueupError]] = {
+    "episode": BadEpisode,
+    "artifact": BadArtifact,
+    "draft": BadPlant,
+}
 ENDING_S = 5.0  # for the inspector to end by itself [s]
 
 
@@ -120,6 +124,17 @@ class Inspector:
             },
             small=arrays is None,
         )
+
+    async def draft(self, received: Path, out: Path, wishes: dict[str, Json]) -> dict[str, Json]:
+        """The plant and the episodes that a received file proposes (`trueup.diagnose.draft`), under
+        these wishes; the episodes are written into the folder `out`.
+
+        Raises BadPlant with the child's code and facts, and InspectionFailed at a limit.
+        """
+        paths: dict[str, Json] = {"received": str(received.absolute()), "out": str(out.absolute())}
+        reply = await self._reply({"draft": {**paths, "wishes": wishes}})
+        draft: dict[str, Json] = reply["draft"]
+        return draft
 
     async def _reply(self, question: Mapping[str, Json], *, small: bool = False) -> dict[str, Any]:
         """The reply of a child of the inspector to a request. Raises what `inspect` raises.

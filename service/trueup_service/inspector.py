@@ -44,6 +44,7 @@ from trueup.recording.described import Described
 from trueup.recording.received import as_episode
 from trueup_service.inspection import LENGTH, Inspected, PlantContext, mcap_path
 
+KINDS = {"manifest": "artifact", "draft": "draft"}  # of requests, by what one holds
 REHEARSED_SAMPLES = 200
 REHEARSED: dict[str, Json] = {
     "name": "rehearsal",
@@ -94,8 +95,10 @@ def try_artifact(manifest: bytes, arrays: Path | None) -> None:
 def answer(request: dict[str, Any]) -> dict[str, Any]:
     """The reply to a request: what its file holds, the problem with it, or that memory was too
     small."""
-    of = "artifact" if "manifest" in request else "episode"
+    of = next((of for key, of in KINDS.items() if key in request), "episode")
     try:
+        if of == "draft":
+            return {"draft": _draft(**request["draft"])}
         if of == "artifact":
             try_artifact(
                 request["manifest"].encode(),
@@ -121,6 +124,12 @@ def answer(request: dict[str, Any]) -> dict[str, Any]:
         }
     except MemoryError:
         return {"limit": "inspection_memory_bytes"}
+
+
+def _draft(received: str, out: str, wishes: dict[str, Any]) -> dict[str, Json]:
+    from trueup.diagnose.draft import Wishes, draft_of  # noqa: PLC0415  (most children inspect)
+
+    return draft_of(Path(received), Path(out), Wishes(**wishes))
 
 
 def _child(asked: socket.socket) -> None:

@@ -44,7 +44,8 @@ Progress = Callable[[str, float], None]
 class Declared:
     """What a person declares of recordings; the rest is found. `name` is the plant's; `mapping`
     says which signals are meant, else `asked` and their names do; `model` is an MJCF or URDF
-    file."""
+    file. A whole plant.json as `plant`, with what the files that it names hold, leaves no model to
+    find."""
 
     name: str
     family: str | None = None
@@ -52,6 +53,7 @@ class Declared:
     asked: Asked = field(default_factory=Asked)
     mapping: SignalMapping | None = None
     model: Path | None = None
+    plant: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -72,8 +74,11 @@ def find_mapping(runs: Sequence[Run], declared: Declared) -> SignalMapping:
     """The mapping of signals to channels: the declared one, or what names and units tell. Raises
     BadEpisode, BadMapping, BadPlant."""
     joints = compile_file(declared.model).tree.joints if declared.model else None
+    layout = Plant.from_document(declared.plant).layout if declared.plant else None
     with of_file(runs[0].path.name):
-        mapping = declared.mapping or guess(runs[0].recording, declared.asked, joints=joints)
+        mapping = declared.mapping or guess(
+            runs[0].recording, declared.asked, joints=joints, layout=layout
+        )
         mapping.require(runs[0].recording)
     return mapping
 
@@ -88,7 +93,11 @@ def make_case(
     """Make a case folder from the signals that `mapping` names. Raises BadEpisode, BadMapping,
     BadPlant, NotIdentifiable."""
     progress("looking through the recordings", 0.0)
-    layout = layout_of(mapping, _topics(runs[0], mapping))
+    layout = (
+        layout_of(mapping, _topics(runs[0], mapping))
+        if declared.plant is None
+        else Plant.from_document(declared.plant).layout
+    )
     out.mkdir(parents=True, exist_ok=True)
     for earlier in out.glob("*.mcap"):  # of a case that was made here before
         earlier.unlink()
@@ -124,6 +133,11 @@ def model_beside(path: Path) -> Path | None:
     folder = path if path.is_dir() else path.parent
     models = [p for p in sorted(folder.iterdir()) if p.suffix in MODEL_SUFFIXES]
     return models[0] if len(models) == 1 else None
+
+
+def plain_name(text: str) -> str:
+    """A plant's name made of any text: small letters, digits, dashes and underscores."""
+    return re.sub(r"[^a-z0-9_-]+", "-", text.lower()).strip("-_")[:63] or "robot"
 
 
 def _write(
@@ -164,7 +178,9 @@ def _topics(run: Run, mapping: SignalMapping) -> dict[str, str]:
 def _document(
     declared: Declared, layout: Layout, episodes: Sequence[Episode], out: Path
 ) -> dict[str, Any]:
-    plain = re.sub(r"[^a-z0-9_-]+", "-", declared.name.lower()).strip("-_")[:63] or "robot"
+    if declared.plant is not None:
+        return declared.plant
+    plain = plain_name(declared.name)
     if not any(e.role is Role.ADAPTATION for e in episodes):
         raise BadPlant(
             "no recording has the role adaptation, and nothing can be identified",

@@ -79,7 +79,7 @@ class Run:
 def open_runs(path: Path, limits: Limits = LIMITS, media_type: str | None = None) -> list[Run]:
     """Every run that a file or a folder of any format holds. A folder that is of no format holds
     those of its files. Raises BadEpisode, NotInstalled."""
-    if path.is_dir() and not any(f.knows(path, b"") for f in known_formats()):
+    if path.is_dir() and not _is_recording(path):
         runs = [run for file in _readable(path) for run in open_runs(file, limits)]
         if not runs:
             raise NotAnEpisode(
@@ -95,6 +95,15 @@ def open_runs(path: Path, limits: Limits = LIMITS, media_type: str | None = None
         recordings = format_of(path, media_type).recordings(path, limits)
     several = len(recordings) > 1
     return [Run(r, path, r.name if several else "") for r in recordings]
+
+
+def holds_recordings(folder: Path) -> bool:
+    """Whether a folder is a recording, or holds files whose names say that they are."""
+    return _is_recording(folder) or bool(_readable(folder))
+
+
+def _is_recording(folder: Path) -> bool:
+    return any(f.knows(folder, b"") for f in known_formats())
 
 
 def _readable(folder: Path) -> list[Path]:

@@ -29,7 +29,7 @@ def finish_job(
         result=result,
     ):
         return False
-    tx.attempts.forget(job.id)
+    tx.attempts.finish(job.id)
     effects(tx)
     facts: dict[str, Json] = {
         "kind": job.kind,

@@ -19,15 +19,22 @@ from trueup_service.http.body_limit import BodyLimit
 from trueup_service.http.hosts import AllowedHosts
 from trueup_service.http.openid import OpenIdProvider
 from trueup_service.http.pages import audit as audit_page
+from trueup_service.http.pages import channels as channels_page
 from trueup_service.http.pages import compare as compare_page
 from trueup_service.http.pages import decision as decision_page
 from trueup_service.http.pages import diagnosis as diagnosis_page
 from trueup_service.http.pages import episode as episode_page
+from trueup_service.http.pages import gate as gate_page
+from trueup_service.http.pages import jobs as jobs_page
+from trueup_service.http.pages import monitor as monitor_page
+from trueup_service.http.pages import new_plant as new_plant_page
 from trueup_service.http.pages import openid as openid_page
 from trueup_service.http.pages import plant as plant_page
 from trueup_service.http.pages import plants as plants_page
+from trueup_service.http.pages import policy as policy_page
 from trueup_service.http.pages import session as session_page
 from trueup_service.http.pages import study as study_page
+from trueup_service.http.pages import upload as upload_page
 from trueup_service.http.registry_metrics import export_gauges
 from trueup_service.http.request_telemetry import RequestTelemetry
 from trueup_service.http.route_index import RouteIndex
@@ -37,6 +44,7 @@ from trueup_service.http.routers import (
     audit,
     channels,
     decisions,
+    drafts,
     episodes,
     families,
     gates,
@@ -67,8 +75,8 @@ Errors are `application/problem+json` with a stable `code` and a `hint`. Every P
 
 
 ROUTERS = (
-    serving, plants, episodes, uploads, telemetry, artifacts, families, gates, jobs, decisions,
-    monitors, policies, channels, audit, access, webhooks,
+    serving, plants, drafts, episodes, uploads, telemetry, artifacts, families, gates, jobs,
+    decisions, monitors, policies, channels, audit, access, webhooks,
     operations,
 )  # fmt: skip
 
@@ -77,7 +85,14 @@ PAGES = (
     session_page,
     openid_page,
     plants_page,
+    new_plant_page,
     plant_page,
+    upload_page,
+    jobs_page,
+    gate_page,
+    policy_page,
+    monitor_page,
+    channels_page,
     diagnosis_page,
     decision_page,
     episode_page,

@@ -19,7 +19,7 @@ from trueup_service.errors import MemoryFull, TooLargeUpload
 LIMIT_BYTES = 4 << 20
 FORM_BYTES = 16 << 10  # of a body that needs no token
 SHARE = 0.5  # of the room that the bodies of one token may take
-UPLOADS = re.compile(r"/v1/(plants/[^/]+/(episodes|uploads/[^/]+)|blobs/[^/]+)")
+UPLOADS = re.compile(r"/v1/(plants/[^/]+/(episodes|uploads/[^/]+)|blobs/[^/]+|drafts)")
 
 
 class BodyLimit:

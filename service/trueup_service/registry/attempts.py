@@ -1,5 +1,5 @@
 """Attempts at jobs and at parts of jobs, by the name of their entry in the job engine. The log does
-not name them."""
+not name them, and they are kept for a time only: they say how long jobs of a kind take."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from trueup_service.registry import tables as t
 from trueup_service.registry.repository import TableGateway
 
 IN_ORDER = "in order"  # how an attempt ended that does not count
+FINISHED = "finished"  # how the last attempt at a job ended, whatever came of it
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +57,13 @@ class Attempts:
             update(t.attempts)
             .where(of.entry == entry, of.worker == worker, of.ended.is_(None))
             .values(ended=how)
+        )
+
+    def finish(self, entry: str) -> None:
+        """Note that an entry needs no further attempt."""
+        of = t.attempts.c
+        self._connection.execute(
+            update(t.attempts).where(of.entry == entry, of.ended.is_(None)).values(ended=FINISHED)
         )
 
     def end_all(self, worker: str) -> None:

@@ -37,6 +37,11 @@ class Jobs(Repository[JobRecord]):
         query = select(t.jobs.c.id).where(t.jobs.c.state.in_(UNFINISHED))
         return list(self._connection.scalars(query.order_by(t.jobs.c.created_at)))
 
+    def under_way(self) -> list[JobRecord]:
+        """All jobs of all plants that have not ended, the oldest first."""
+        query = select(t.jobs).where(t.jobs.c.state.in_(UNFINISHED))
+        return self._all(query.order_by(t.jobs.c.created_at, t.jobs.c.id))
+
     def has_unfinished(self) -> bool:
         """Whether a job of any plant has not ended."""
         query = select(t.jobs.c.id).where(t.jobs.c.state.in_(UNFINISHED))  # which its index finds

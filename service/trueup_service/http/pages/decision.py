@@ -3,21 +3,28 @@ and the newest recomputation."""
 
 from __future__ import annotations
 
+import uuid
 from typing import Any
 
 from fastapi import Request, Response
+from starlette.concurrency import run_in_threadpool
 
 from trueup.canonical import digest_of
+from trueup.errors import TrueupError
 from trueup.gate.line import alike, budget_of, disclosure_of, selected
 from trueup.ledger.audit import entry_bytes
 from trueup.ledger.merkle import inclusion, leaf_hash, prove
-from trueup_service.actions import find
+from trueup_service.actions import find, promotion
+from trueup_service.actions.approve import approve
+from trueup_service.actions.declare_policy import policy_of
 from trueup_service.actions.gate_line import known_at, place
 from trueup_service.http.dependencies import Digest, PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import guarded
-from trueup_service.http.pages.page import begin_job, go, show
+from trueup_service.http.pages.page import act, begin_job, form, go, show, whole_number
+from trueup_service.http.problems import status_of
 from trueup_service.registry.records import FINAL, DecisionRecord, GateRecord
 from trueup_service.registry.transaction import ReadTransaction, reading
+from trueup_service.wiring import Parts
 
 router = guarded("", ["pages"], documented=False)
 
@@ -25,6 +32,16 @@ router = guarded("", ["pages"], documented=False)
 @router.get("/plants/{plant}/decisions/{digest}")
 def decision(request: Request, parts: RequestParts, plant: PlantName, digest: Digest) -> Response:
     """A decision, with its proof in the log and its newest recomputation."""
+    return _page(request, parts, plant, digest)
+
+
+def _page(
+    request: Request,
+    parts: Parts,
+    plant: str,
+    digest: str,
+    refused: TrueupError | None = None,
+) -> Response:
     with reading(parts.database) as tx:
         made = find.decision(tx, plant, digest)
         gate = find.gate(tx, plant, made.gate)
@@ -51,10 +68,67 @@ def decision(request: Request, parts: RequestParts, plant: PlantName, digest: Di
             "proof": proof,
             "size": tree.size,
             "root": tree.root().hex(),
+            "serving": find.serving(tx, plant),
+            "needed": _approvals_needed(tx, plant),
+            "key": uuid.uuid4().hex,
+            "refused": refused,
             "anew": anew,
             "waiting": anew is not None and anew.state not in FINAL,
         }
-    return show(request, "decision.html", **values)
+    status = 200 if refused is None else status_of(refused)
+    return show(request, "decision.html", status, **values)
+
+
+def _approvals_needed(tx: ReadTransaction, plant: str) -> int:
+    """How many people a promotion takes."""
+    policy = policy_of(tx, plant)
+    return 1 if policy is None else policy.approvals
+
+
+@router.post("/plants/{plant}/decisions/{digest}/promote")
+async def promote(
+    request: Request,
+    parts: RequestParts,
+    context: RequestContext,
+    plant: PlantName,
+    digest: Digest,
+) -> Response:
+    """Serve the decision's candidate, if the pointer is at the generation of the form."""
+    fields = await form(request)
+    generation, key = whole_number(fields.get("generation", "")), fields.get("key") or None
+
+    async def move() -> None:
+        await promotion.promote(parts, context, plant, digest, generation, key)
+        request.app.state.answers.wake()
+
+    return await act(
+        request,
+        move,
+        lambda error: _page(request, parts, plant, digest, error),
+        f"/plants/{plant}",
+    )
+
+
+@router.post("/plants/{plant}/decisions/{digest}/approve")
+async def approve_(
+    request: Request,
+    parts: RequestParts,
+    context: RequestContext,
+    plant: PlantName,
+    digest: Digest,
+) -> Response:
+    """Approve a decision, with the reason of the form if there is one."""
+    because = (await form(request)).get("because", "").strip() or None
+
+    def approved() -> object:
+        return parts.writer.run(lambda tx: approve(tx, plant, digest, because, context))
+
+    return await act(
+        request,
+        lambda: run_in_threadpool(approved),
+        lambda error: _page(request, parts, plant, digest, error),
+        f"/plants/{plant}/decisions/{digest}",
+    )
 
 
 def _known(tx: ReadTransaction, gate: GateRecord, made: DecisionRecord) -> dict[str, Any]:

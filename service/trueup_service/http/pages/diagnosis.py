@@ -8,9 +8,11 @@ import orjson
 from fastapi import Request, Response
 
 from trueup_pages.diagnosis import report_page, view
+from trueup_service.actions import find
 from trueup_service.http.dependencies import PlantName, RequestParts
 from trueup_service.http.guard import guarded
 from trueup_service.http.pages.job_page import as_file, job_of, require_report, until_it_succeeds
+from trueup_service.http.pages.next_step import step_after
 from trueup_service.http.pages.page import show
 from trueup_service.http.routers.jobs import JobId
 from trueup_service.registry.records import JobRecord
@@ -25,14 +27,17 @@ FIGURES, COMMAND = "figures.json", "next_experiment.csv"
 def diagnosis(request: Request, parts: RequestParts, plant: PlantName, job: JobId) -> Response:
     """The progress of a diagnosis, why it failed, or its report."""
     record = job_of(parts, plant, job, ["diagnose"], "diagnosis")
-    if (page := until_it_succeeds(request, record, "diagnosis")) is not None:
+    if (page := until_it_succeeds(request, parts, record)) is not None:
         return page
     report, figures, command = _results(parts, record)
+    with reading(parts.database) as tx:
+        step = step_after(tx, plant, find.serving(tx, plant), record)
     values = view(
         report,
         figures,
         command and f"/v1/jobs/{job}/outputs/{COMMAND}",
         lambda digest: f"/plants/{plant}/episodes/{digest}",
+        step,
     )
     return show(request, "diagnosis.html", job=record, **values)
 

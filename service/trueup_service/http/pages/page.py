@@ -6,24 +6,29 @@ Forms work without a script, which only saves reloading. A page loads files of i
 from __future__ import annotations
 
 import uuid
-from typing import Any
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Any, TypeVar
 from urllib.parse import parse_qs, quote, urlencode
 
 from fastapi import Request
+from pydantic import ValidationError
+from starlette.concurrency import run_in_threadpool
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from trueup.canonical import Json
+from trueup.errors import TrueupError
 from trueup_pages.rendering import render
 from trueup_service.actions.submission import Submission
 from trueup_service.actions.submit_job import SUBMIT
 from trueup_service.actor_context import ActorContext
 from trueup_service.authentication import Principal
 from trueup_service.control_characters import control_character
-from trueup_service.errors import TooLargeUpload
+from trueup_service.errors import BadRequest, TooLargeUpload
 from trueup_service.registry.records import Role
 from trueup_service.registry.transaction import writing
 from trueup_service.wiring import Parts
 
+T = TypeVar("T")
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
     "img-src 'self' data:; "
@@ -36,6 +41,7 @@ HEADERS = {
 FORM_BYTES = 64 << 10
 SIGN_IN = "/sign-in"
 SEE_OTHER = 303
+NOT_A_NUMBER = -1
 
 
 def begin_job(
@@ -71,6 +77,43 @@ def go(path: str, **query: str) -> Response:
     return RedirectResponse(
         path + (f"?{urlencode(query)}" if query else ""), SEE_OTHER, headers=HEADERS
     )
+
+
+async def act(
+    request: Request,
+    action: Callable[[], Awaitable[object]],
+    page: Callable[[TrueupError], Response],
+    to: str,
+) -> Response:
+    """Do what a form asks for, and go to a page; where it is refused, show the page that says so.
+    Raises what the action raises, where the caller wants no page."""
+    try:
+        await action()
+    except TrueupError as error:
+        if not wants_page(request):
+            raise
+        return await run_in_threadpool(page, error)
+    return go(to)
+
+
+def checked(validate: Callable[[Any], T], values: Mapping[str, Any]) -> T:
+    """What pydantic makes of a form's values. Raises BadRequest, which names the first bad
+    field."""
+    try:
+        return validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = ".".join(str(part) for part in first["loc"] if part in values) or "form"
+        raise BadRequest(
+            f"{field}: {first['msg'].lower()}", hint="Correct this field.", field=field
+        ) from error
+
+
+def whole_number(text: str) -> int:
+    """A number that a form holds; NOT_A_NUMBER where it is none."""
+    text = text.strip()
+    short = text.isascii() and text.isdigit() and len(text) < 10  # noqa: PLR2004
+    return int(text) if short else NOT_A_NUMBER
 
 
 def own_path(to: str) -> str:

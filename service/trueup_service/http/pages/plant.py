@@ -11,6 +11,7 @@ from starlette.concurrency import run_in_threadpool
 from trueup.episode.role import STAGES
 from trueup.errors import PointerMoved, TrueupError
 from trueup.ledger.pointer import NothingToRollBackTo
+from trueup_pages.jobs import name_of
 from trueup_service.actions import find
 from trueup_service.actions.gate_line import place
 from trueup_service.actions.move_pointer import older_positions
@@ -18,7 +19,8 @@ from trueup_service.actions.promotion import rehearse_way_back, roll_back
 from trueup_service.actor_context import END_OF_TIME
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import guarded
-from trueup_service.http.pages.page import begin_job, form, go, show, wants_page
+from trueup_service.http.pages.next_step import next_step
+from trueup_service.http.pages.page import act, begin_job, form, go, show, whole_number
 from trueup_service.http.pages.study import STUDIES
 from trueup_service.http.problems import status_of
 from trueup_service.registry.overview import gaps_of
@@ -28,7 +30,6 @@ from trueup_service.wiring import Parts
 router = guarded("", ["pages"], documented=False)
 ENTRIES, ROWS = 300, 10
 NO_END = 2**62
-NOT_A_NUMBER = -1
 
 
 @router.get("/plants/{plant}")
@@ -43,6 +44,7 @@ def plant_page(request: Request, parts: RequestParts, plant: PlantName) -> Respo
         jobs = tx.jobs.page(plant, END_OF_TIME, ROWS * 3)
         latest = tx.artifacts.latest_version(plant)
         policy = tx.policies.in_force(plant)
+        versions = list(reversed(tx.artifacts.page(plant, max(latest - ROWS, 0), ROWS)))
         values: dict[str, Any] = {
             "plant": record,
             "serving": serving,
@@ -59,8 +61,12 @@ def plant_page(request: Request, parts: RequestParts, plant: PlantName) -> Respo
                 for stage in STAGES
             ],
             "decisions": tx.decisions.page(plant, END_OF_TIME, ROWS),
-            "versions": list(reversed(tx.artifacts.page(plant, max(latest - ROWS, 0), ROWS))),
-            "studies": [j for j in jobs if j.kind in STUDIES][:ROWS],
+            "versions": versions,
+            "numbers": {v.digest: f"version {v.version}" for v in versions},
+            "step": next_step(tx, plant, serving),
+            "gate": next(reversed(tx.gates.in_order(plant)), None),
+            "studies": [j for j in jobs if j.kind in (*STUDIES, "blindtrial")][:ROWS],
+            "job_name": name_of,
             "study_names": {kind: of.name for kind, of in STUDIES.items()},
             "diagnoses": [j for j in jobs if j.kind == "diagnose"][:ROWS],
             "episodes": tx.episodes.of_roles(plant, ("adaptation", "validation"))[:ROWS],
@@ -89,30 +95,17 @@ async def rollback(
 ) -> Response:
     """Roll the pointer back, if it is at the generation that the form was shown for."""
     fields = await form(request)
-    generation, to = (_generation(fields.get(name, "")) for name in ("generation", "to"))
-    try:
-        await run_in_threadpool(
-            roll_back,
-            parts,
-            context,
-            plant,
-            generation,
-            fields.get("key") or None,
-            to if fields.get("to") else None,
-        )
-    except TrueupError as error:
-        if not wants_page(request):
-            raise
-        return await run_in_threadpool(_offer, request, parts, plant, error)
-    request.app.state.answers.wake()
-    return go(f"/plants/{plant}")
+    generation, to = (whole_number(fields.get(name, "")) for name in ("generation", "to"))
 
+    async def move() -> None:
+        older = to if fields.get("to") else None
+        key = fields.get("key") or None
+        await run_in_threadpool(roll_back, parts, context, plant, generation, key, older)
+        request.app.state.answers.wake()
 
-def _generation(text: str) -> int:
-    """A generation that was typed; NOT_A_NUMBER where it is none."""
-    text = text.strip()
-    short = text.isascii() and text.isdigit() and len(text) < 10  # noqa: PLR2004
-    return int(text) if short else NOT_A_NUMBER
+    return await act(
+        request, move, lambda error: _offer(request, parts, plant, error), f"/plants/{plant}"
+    )
 
 
 def _offer(request: Request, parts: Parts, plant: str, refused: TrueupError | None) -> Response:

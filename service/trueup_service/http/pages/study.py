@@ -73,7 +73,7 @@ def study(request: Request, parts: RequestParts, plant: PlantName, job: JobId) -
     """The progress of a study, why it failed, or its report."""
     record = job_of(parts, plant, job, STUDIES, "study")
     of = STUDIES[record.kind]
-    if (page := until_it_succeeds(request, record, of.name)) is not None:
+    if (page := until_it_succeeds(request, parts, record)) is not None:
         return page
     values = of.view(_report(parts, record))
     title = f"{of.name.capitalize()} of {plant}"

@@ -7,7 +7,6 @@ from typing import Annotated, Any
 from fastapi import Body, Query, Response
 
 from trueup_service.actions import find
-from trueup_service.errors import Forbidden
 from trueup_service.http.dependencies import (
     IdempotencyKey,
     Limit,
@@ -16,6 +15,7 @@ from trueup_service.http.dependencies import (
     RequestParts,
     create,
 )
+from trueup_service.http.drafting import project_of_new_plant
 from trueup_service.http.guard import CurrentPrincipal, guarded
 from trueup_service.http.openapi import already_exists
 from trueup_service.http.schemas.episodes import Plant
@@ -50,14 +50,7 @@ def register(
     """
     from trueup_service.actions.register_plant import register_plant  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
-    if principal.plant is not None:
-        raise Forbidden(
-            f"the token is of plant {principal.plant!r} alone",
-            hint="Ask an admin for a token of the project.",
-        )
-    if principal.project is not None and project not in (None, principal.project):
-        raise find.not_found("project", str(project))
-    of = principal.project or project
+    of = project_of_new_plant(principal, project)
     return create(
         parts,
         context,

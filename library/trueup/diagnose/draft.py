@@ -1,0 +1,250 @@
+"""Draft: the plant and the episodes that received files propose, before anybody registers them.
+
+What is received is one file: a recording of any format, a plant.json, or a zip archive of several
+files, among them a plant.json, or an MJCF or URDF with its meshes.
+
+- A plant.json is taken as it is, and recordings beside it become its episodes.
+- Without one, a plant.json is made of the recordings, as `trueup init` does.
+- A model names no file outside of what was received.
+- Where names do not tell which signals are meant, the draft says what is missing and which signals
+  there are, and nothing is made. So too where no model can be identified from them.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+import orjson
+
+from trueup.canonical import Json
+from trueup.diagnose.case import recordings_of
+from trueup.diagnose.make_case import (
+    MODEL_SUFFIXES,
+    PLANT_FILE,
+    Declared,
+    MadeCase,
+    find_mapping,
+    make_case,
+    model_beside,
+    plain_name,
+)
+from trueup.doctor.finding import documents
+from trueup.episode.container import LIMITS, Limits
+from trueup.episode.episode import Episode
+from trueup.episode.mcap import read_episode
+from trueup.errors import BadMapping, BadPlant, NotIdentifiable, TrueupError
+from trueup.model.nominal_form import resolved
+from trueup.model.plant import Plant
+from trueup.recording.archive import unpacked
+from trueup.recording.asked import Asked
+from trueup.recording.format import Run, holds_recordings, open_runs
+from trueup.recording.mapping import SignalMapping, read_mapping
+from trueup.recording.recording import Clock
+
+PREVIEW_SAMPLES = 400  # of a signal, enough for a picture of 800 pixels
+FILE_ATTRIBUTES = ("file", "filename", "meshdir", "texturedir", "assetdir")
+MOST_SIGNALS = 500  # that a person chooses from
+
+
+@dataclass(frozen=True, slots=True)
+class Wishes:
+    """What a person says of received files; the rest is found. `signals` and `units` are by `q`,
+    `v`, `u`; `plant` is a plant.json that takes the place of the found one."""
+
+    name: str | None = None
+    family: str | None = None
+    stage: str = "physical"
+    joint: str | None = None
+    signals: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    time: str | None = None
+    time_unit: str | None = None
+    rate_hz: float | None = None
+    mapping: str | None = None
+    plant: Mapping[str, Any] | None = None
+
+
+def draft_of(received: Path, out: Path, wishes: Wishes, limits: Limits = LIMITS) -> dict[str, Json]:
+    """The draft of a received file, as JSON; its episodes are written into the folder `out`.
+
+    `plant` is the plant.json, or None with a `problem` where a person must first say which signals
+    are meant; `signals` lists those to choose from. Raises BadEpisode, BadMapping, BadPlant,
+    NotInstalled.
+    """
+    with unpacked(received, limits) as opened:
+        document = _declared_plant(opened, wishes)
+        if document is not None and not _has_recordings(opened):
+            Plant.from_document(document).require_known_envelope()
+            return {**_nothing(opened, wishes), "plant": document}
+        model = _model(opened)
+        runs = open_runs(opened, limits)
+        declared = Declared(
+            wishes.name or received.stem,
+            wishes.family,
+            wishes.stage,
+            _asked(wishes),
+            read_mapping(wishes.mapping) if wishes.mapping else None,
+            None if wishes.joint or wishes.family or document else model,
+            document,
+        )
+        try:
+            mapping = find_mapping(runs, declared)
+            return _made(make_case(runs, out, mapping, declared), runs, wishes)
+        except (BadMapping, NotIdentifiable) as error:  # which other signals may mend
+            return {**_nothing(opened, wishes), **_choice(runs), "problem": _problem(error)}
+
+
+def _declared_plant(opened: Path, wishes: Wishes) -> dict[str, Any] | None:
+    """The plant.json among the received files, or the one wished for, with what the files that it
+    names hold; None where there is none."""
+    file = opened / PLANT_FILE if opened.is_dir() else opened
+    if wishes.plant is not None:
+        document: Any = dict(wishes.plant)
+    elif file.suffix == ".json" and file.is_file():
+        try:
+            document = orjson.loads(file.read_bytes())
+        except orjson.JSONDecodeError as error:
+            raise BadPlant(f"{file.name} is not JSON: {error}", field=PLANT_FILE) from error
+    else:
+        return None
+    folder = opened if opened.is_dir() else opened.parent
+    nominal = document.get("nominal") if isinstance(document, dict) else None
+    if isinstance(nominal, dict) and isinstance(nominal.get("mjcf"), str):
+        _require_enclosed(folder / nominal["mjcf"], folder)
+    document = resolved(document, folder)
+    if wishes.name is not None and isinstance(document, dict):
+        document = {**document, "name": plain_name(wishes.name)}
+    Plant.from_document(document)
+    return dict(document)
+
+
+def _has_recordings(opened: Path) -> bool:
+    """Whether anything was received beside a description of the plant."""
+    return holds_recordings(opened) if opened.is_dir() else opened.suffix != ".json"
+
+
+def _model(opened: Path) -> Path | None:
+    """The MJCF or URDF among the received files. Raises BadPlant where it is alone."""
+    if opened.is_file():
+        if opened.suffix in MODEL_SUFFIXES:
+            raise BadPlant(
+                f"{opened.name} says nothing of commands, steps and topics",
+                field="nominal.mjcf",
+                hint="Send it together with a recording of the robot, or with its plant.json.",
+            )
+        return None
+    model = model_beside(opened)
+    if model is not None:
+        _require_enclosed(model, opened)
+    return model
+
+
+def _require_enclosed(model: Path, folder: Path) -> None:
+    """Raises BadPlant where a model names a file that was not received with it."""
+    if not model.is_file():
+        return  # the reader of plant.json says so
+    try:
+        elements = list(ET.parse(model).iter())
+    except ET.ParseError as error:
+        raise BadPlant(f"{model.name} is not XML: {error}", field="nominal.mjcf") from error
+    for element in elements:
+        for name in FILE_ATTRIBUTES:
+            path = PurePosixPath(element.get(name, "").replace("\\", "/"))
+            inside = (model.parent / path).resolve().is_relative_to(folder.resolve())
+            if path.is_absolute() or not inside:
+                raise BadPlant(
+                    f"{model.name} names {element.get(name)!r}, which lies outside of what was "
+                    "received",
+                    field="nominal.mjcf",
+                    hint="Send the files that the model names with it, and name them from there.",
+                )
+
+
+def _asked(wishes: Wishes) -> Asked:
+    clock = None
+    if wishes.time or wishes.time_unit or wishes.rate_hz is not None:
+        clock = Clock(wishes.time, wishes.time_unit or "", wishes.rate_hz)
+    return Asked(dict(wishes.signals), dict(wishes.units), wishes.joint, clock=clock)
+
+
+def _nothing(opened: Path, wishes: Wishes) -> dict[str, Json]:
+    """A draft in which nothing was made of recordings."""
+    return {
+        "name": wishes.name or plain_name(opened.stem),
+        "plant": None,
+        "mapping": None,
+        "episodes": [],
+        "findings": [],
+        "signals": [],
+        "stage": wishes.stage,
+        "is_role_declared": False,
+        "preview": None,
+        "problem": None,
+    }
+
+
+def _choice(runs: Sequence[Run]) -> dict[str, Json]:
+    """The signals that a person may choose from."""
+    names = [s.name for stream in runs[0].recording.streams for s in stream.signals]
+    return {"signals": list(dict.fromkeys(names))[:MOST_SIGNALS]}
+
+
+def _problem(error: TrueupError) -> Json:
+    facts: dict[str, Any] = dict(error.facts)
+    return {"code": error.code, "message": error.message, "hint": error.hint, "facts": facts}
+
+
+def _made(case: MadeCase, runs: Sequence[Run], wishes: Wishes) -> dict[str, Json]:
+    document = resolved(case.document, case.folder)
+    plant = Plant.from_document(document)
+    files = recordings_of(case.folder)
+    episodes = [read_episode(file.read_bytes(), plant.layout) for file in files]
+    return {
+        **_nothing(case.folder, wishes),
+        **_choice(runs),
+        "name": plant.name,
+        "plant": document,
+        "mapping": _mapping(case.mapping),
+        "episodes": [
+            {
+                "file": file.name,
+                "role": str(e.role),
+                "samples": len(e.t_s),
+                "duration_s": float(e.t_s[-1]),
+                "recording": e.conditions.get("recording", file.name),
+            }
+            for file, e in zip(files, episodes, strict=True)
+        ],
+        "findings": documents(case.findings),
+        "is_role_declared": case.is_role_declared,
+        "preview": _preview(plant, episodes[0]),
+    }
+
+
+def _mapping(mapping: SignalMapping) -> dict[str, Json]:
+    return {**mapping.document(), "guesses": list(mapping.guesses)}
+
+
+def _preview(plant: Plant, episode: Episode) -> dict[str, Json]:
+    """A few samples of each channel of an episode, for a picture."""
+    of = np.unique(np.linspace(0, len(episode.t_s) - 1, PREVIEW_SAMPLES).astype(int))
+    channels = [
+        *zip(plant.layout.observations, episode.observations.T, strict=True),
+        *zip(plant.layout.commands, episode.commands.T, strict=True),
+    ]
+    return {
+        "t_s": [float(t) for t in episode.t_s[of]],
+        "channels": [
+            {
+                "name": channel.name,
+                "unit": channel.unit,
+                "values": [float(x) if np.isfinite(x) else None for x in values[of]],
+            }
+            for channel, values in channels
+        ],
+    }
