@@ -11,7 +11,7 @@ from pathlib import Path
 MADE = Path(__file__).parent.parent / "client" / "trueup_client" / "records.py"
 RECORDS = (
     "Plant", "Episode", "EpisodeContext", "Artifact", "Gate", "LooserThan", "GateInLine",
-    "Output", "Job", "JobWithReads", "Decision", "Approval", "Evidence",
+    "Output", "Job", "QueuedJob", "JobWithReads", "Decision", "Approval", "Evidence",
     "Channel",
     "ChannelPosition", "Policy", "Monitor", "Watch", "Alarm", "MonitorState", "Project", "Token",
     "IssuedToken", "Webhook", "DeclaredWebhook", "Identity", "AuditEntry",

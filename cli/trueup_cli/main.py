@@ -58,6 +58,11 @@ _COMMANDS = {
     "gate": ("registry:gate", "Judge a candidate against what serves, by a gate.", CALLS_SERVICE),
     "versions": ("registry:versions", "List the versions of a plant's model.", CALLS_SERVICE),
     "decisions": ("registry:decisions", "List what gates decided.", CALLS_SERVICE),
+    "jobs": (
+        "jobs:jobs",
+        "Show what is under way and what has ended, or cancel it.",
+        CALLS_SERVICE,
+    ),
     "calibrate": (
         "monitor:calibrate",
         "Calibrate a monitor of what serves, for a promised rate of false alarms.",

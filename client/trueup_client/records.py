@@ -138,6 +138,19 @@ class Job(TypedDict):
     operation: str
 
 
+class QueuedJob(Job):
+    """A job that has not ended: the worker that runs it and since when, how many jobs were
+    submitted before it and have not ended, and how long it still waits and such jobs take,
+    about [s]; null where nothing is known of such jobs.
+    """
+
+    worker: str | None
+    begun_at: str | None
+    ahead: int
+    waits_s: float | None
+    takes_s: float | None
+
+
 class JobWithReads(TypedDict):
     """A job, the digests of everything that it has read and for what, and the files that it left
     behind.

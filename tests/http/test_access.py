@@ -26,6 +26,7 @@ from trueup_service.wiring import build
 
 NOTHING = {
     "digest": "0" * 64,
+    "draft": "0" * 64,
     "job": "0" * 32,
     "alarm": "0" * 32,
     "version": "99",

@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Callable
 
 from trueup_client.calls.jobs import JobCalls
 from trueup_client.pool import Pooled
-from trueup_client.records import Document, Job, JobWithReads
+from trueup_client.records import Document, Job, JobWithReads, QueuedJob
 
 
 class AsyncJobCalls(Pooled):
@@ -26,6 +26,10 @@ class AsyncJobCalls(Pooled):
     def jobs(self, plant: str) -> AsyncIterator[Job]:
         """Yields the jobs of a plant, the newest first."""
         return self._pool.each(JobCalls.jobs, plant)
+
+    def queue(self) -> AsyncIterator[QueuedJob]:
+        """Yields the jobs of all plants that have not ended, the oldest first."""
+        return self._pool.each(JobCalls.queue)
 
     async def job(self, job: str) -> JobWithReads:
         """Returns a job as it is now, with the digests of what it has read, and its outputs."""

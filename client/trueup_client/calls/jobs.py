@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 
 from trueup_client.problem import DigestMismatch, Problem
-from trueup_client.records import Document, Job, JobWithReads
+from trueup_client.records import Document, Job, JobWithReads, QueuedJob
 from trueup_client.transport import Transport, url_path
 
 FINAL_STATES = ("succeeded", "failed", "cancelled")
@@ -28,6 +28,10 @@ class JobCalls(Transport):
     def jobs(self, plant: str) -> Iterator[Job]:
         """Yields the jobs of a plant, the newest first."""
         return self._pages(url_path("plants", plant, "jobs"), "before")
+
+    def queue(self) -> Iterator[QueuedJob]:
+        """Yields the jobs of all plants that have not ended, the oldest first."""
+        return self._pages(url_path("jobs"), "after")
 
     def job(self, job: str) -> JobWithReads:
         """Returns a job as it is now, with the digests of what it has read, and its outputs."""

@@ -70,8 +70,10 @@ async function zip(files) {
 }
 
 /** The files below what was dropped, with their paths. */
-async function dropped(items) {
-  const entries = [...items].map((item) => item.webkitGetAsEntry?.()).filter(Boolean);
+async function dropped(transfer) {
+  const plain = [...transfer.files].map((file) => ({ path: file.name, file }));
+  const entries = [...transfer.items].map((item) => item.webkitGetAsEntry?.()).filter(Boolean);
+  if (!entries.length) return plain;
   const files = [];
   const walk = async (entry, path) => {
     if (entry.isFile) {
@@ -189,7 +191,7 @@ class Drop {
     root.addEventListener("drop", async (event) => {
       event.preventDefault();
       root.classList.remove("over");
-      this.take(await dropped(event.dataTransfer.items));
+      this.take(await dropped(event.dataTransfer));
     });
   }
 
@@ -221,8 +223,14 @@ class Drop {
   }
 
   async episode(file, line, mapping) {
-    const query = new URLSearchParams({ name: file.name });
     const role = this.root.elements.role.value;
+    if (!role && !/\.mcap$/i.test(file.name)) {
+      const detail = `${file.name} does not say what it was recorded for`;
+      const hint = "Choose what it is for above, and send it then.";
+      this.refused(file, line, { detail, hint, code: "not-an-episode", facts: { rule: "role" } });
+      return;
+    }
+    const query = new URLSearchParams({ name: file.name });
     if (role) {
       query.set("role", role);
       query.set("conditions", JSON.stringify(this.conditions()));
@@ -230,21 +238,25 @@ class Drop {
     if (mapping) query.set("mapping", mapping);
     const url = `${this.root.dataset.to}?${query}`;
     const [status, answer] = await send(url, file, (share) => line.sent(share));
-    if (status === 200 || status === 201) {
-      const link = part("a", `${status === 201 ? "uploaded" : "known already"}: ${answer.role}`);
-      link.href = this.root.dataset.then + answer.digest;
-      const seconds = Number(answer.summary.duration_s.toPrecision(3));
-      line.done(link, part("span", ` ${answer.summary.samples} samples, ${seconds} s`, "pale"));
+    if (status !== 200 && status !== 201) {
+      this.refused(file, line, answer);
       return;
     }
-    const retry = new Line(this.place, file.name);
-    retry.root.remove();
-    line.refused(answer);
-    const proposed = answer.facts?.mapping;
-    if (!proposed && answer.facts?.rule !== "role") return;
-    const again = part("button", proposed ? "Use these signals" : "Send again with the role above");
+    const link = part("a", `${status === 201 ? "uploaded" : "known already"}: ${answer.role}`);
+    link.href = this.root.dataset.then + answer.digest;
+    const seconds = Number(answer.summary.duration_s.toPrecision(3));
+    line.done(link, part("span", ` ${answer.summary.samples} samples, ${seconds} s`, "pale"));
+  }
+
+  /** Shows why a file was refused, and where more has to be said of it a button to send it again. */
+  refused(file, line, problem) {
+    line.refused(problem);
+    const proposed = problem.facts?.mapping;
+    if (!proposed && problem.facts?.rule !== "role") return;
+    const again = part("button", proposed ? "Use these signals" : "Send it with the role above");
     again.type = "button";
     again.addEventListener("click", () => {
+      const retry = new Line(this.place, file.name);
       line.root.replaceWith(retry.root);
       this.episode(file, retry, proposed);
     });

@@ -90,6 +90,7 @@ ACCESS: Mapping[tuple[str, str], Rule] = {
     ("GET", f"{PLANT}/gate"): READERS,
     ("POST", f"{PLANT}/jobs"): ENGINEERS,
     ("GET", f"{PLANT}/jobs"): READERS,
+    ("GET", "/v1/jobs"): READERS,
     ("GET", "/v1/jobs/{job}"): READERS,
     ("GET", "/v1/jobs/{job}/outputs/{name}"): READERS,
     ("POST", "/v1/jobs/{job}/cancel"): ENGINEERS,

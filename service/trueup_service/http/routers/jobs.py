@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import uuid
+from datetime import UTC, datetime
 from typing import Annotated
 
 from fastapi import Body, Path, Response
@@ -23,7 +24,7 @@ from trueup_service.http.dependencies import (
     create,
 )
 from trueup_service.http.downloads import send_blob
-from trueup_service.http.guard import CurrentPrincipal, guarded, require_visible
+from trueup_service.http.guard import CurrentPrincipal, guarded, is_visible, require_visible
 from trueup_service.http.openapi import already_exists
 from trueup_service.http.schemas.jobs import (
     BlindtrialRequest,
@@ -37,11 +38,13 @@ from trueup_service.http.schemas.jobs import (
     JobWithReads,
     OpenloopRequest,
     Output,
+    QueuedJob,
     RandomisationRequest,
     RecomputationRequest,
     ValidationRequest,
 )
 from trueup_service.http.schemas.wire import Page, page
+from trueup_service.registry.job_queue import queued_jobs
 from trueup_service.registry.transaction import reading, writing
 
 router = guarded("/v1", ["jobs"])
@@ -103,6 +106,27 @@ def list_jobs(
         find.plant_digest(tx, plant)
         jobs = tx.jobs.page(plant, before, limit)
     return page(Job, jobs, limit, "created_at")
+
+
+@router.get("/jobs", summary="List the jobs that have not ended, the oldest first")
+def list_queue(parts: RequestParts, principal: CurrentPrincipal) -> Page[QueuedJob]:
+    """Of all plants that the token sees. `ahead` counts those of other plants, too."""
+    with reading(parts.database) as tx:
+        queue = queued_jobs(tx, datetime.now(UTC))
+    seen = [q for q in queue if is_visible(parts.database, principal, q.job.plant)]
+    return Page(
+        items=[
+            QueuedJob(
+                **Job.model_validate(q.job).model_dump(exclude={"operation"}),
+                worker=q.worker,
+                begun_at=q.begun_at,
+                ahead=len(q.ahead),
+                waits_s=q.waits_s,
+                takes_s=q.takes_s,
+            )
+            for q in seen
+        ]
+    )
 
 
 @router.get("/jobs/{job}", summary="Get a job with its progress and what it has read")

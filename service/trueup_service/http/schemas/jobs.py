@@ -36,6 +36,18 @@ class Job(FromRecord):
         return of_job(self.kind, self.request)
 
 
+class QueuedJob(Job):
+    """A job that has not ended: the worker that runs it and since when, how many jobs were
+    submitted before it and have not ended, and how long it still waits and such jobs take, about
+    [s]; null where nothing is known of such jobs."""
+
+    worker: str | None
+    begun_at: Time | None
+    ahead: int
+    waits_s: float | None
+    takes_s: float | None
+
+
 class Output(FromRecord):
     """A file that a job left behind."""
 
