@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from trueup.diagnose.summary_text import percent, short, unit
+from trueup.diagnose.number_text import percent, short, unit
 from trueup_pages.curves import Axis, Curve, colour, curves, key
 from trueup_pages.drawing import Scale
 from trueup_pages.rendering import render

@@ -9,7 +9,7 @@ from html import escape
 
 from markupsafe import Markup
 
-from trueup.diagnose.summary_text import short
+from trueup.diagnose.number_text import short
 
 COLOURS = ("nominal", "corrected", "refitted", "good", "bad", "left", "bar", "ink")
 WIDTH, HEIGHT = 620.0, 300.0

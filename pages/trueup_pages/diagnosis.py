@@ -9,8 +9,8 @@ from typing import Any
 
 from markupsafe import Markup
 
-from trueup.diagnose import summary_text
-from trueup.diagnose.summary_text import percent
+from trueup.diagnose import answer_table, number_text, summary_text
+from trueup.diagnose.number_text import percent
 from trueup_pages import drawing
 from trueup_pages.rendering import render
 
@@ -26,6 +26,8 @@ ALONE = (
     "everything below this line is worse than the answer, or better by less than its "
     "numbers must earn"
 )
+
+ALONE_BY = {"nominal": "nominal model", "fitted": "refitted parameters alone"}
 
 
 def report_page(
@@ -50,6 +52,10 @@ def view(
     return {
         "d": report,
         "answer": summary_text.sentence(report),
+        "title": answer_table.title(report),
+        "rows": answer_table.rows(report),
+        "left_over": answer_table.left_over(report),
+        "equations": answer_table.equations(report),
         "figures": figures,
         **recordings_of(figures, MODELS),
         "parts": summary_text.waterfall(report),
@@ -137,7 +143,8 @@ def ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
         *bare,
     ]
     shown = inside + sorted(shown[len(inside) :], key=lambda h: h["validation"])
-    scale = drawing.Scale([h["validation"] for h in shown if h["validation"]])
+    base = least or min((h["validation"] for h in shown if h["validation"]), default=1.0)
+    scale = drawing.Scale([math.sqrt(h["validation"] / base) for h in shown if h["validation"]])
     enough = report["verdict"] != "unknown_effect"
     called = "the answer" if enough else "the nearest, and not enough"
     line = NOT_ENOUGH if not enough else ALONE if len(inside) == 1 else INSEPARABLE
@@ -146,18 +153,15 @@ def ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
         value = h["validation"]
         worse = h.get("worse_ci95")
         ends = (
-            [least + w for w in worse]
+            [math.sqrt(max(1.0 + w / base, 0.0)) for w in worse]
             if worse and None not in worse and least is not None and not h.get("answer")
             else None
         )
         closer = least is not None and value < least and not h.get("in_set")
         ranked.append(
             {
-                "name": summary_text.composition(
-                    h["effects"], f"{h['parameters']} parameters alone"
-                ),
-                "misfit": h["misfit"],
-                "validation": value,
+                "name": summary_text.composition(h["effects"], ALONE_BY[h["parameters"]]),
+                "times": math.sqrt(value / base),
                 "in_set": bool(h.get("in_set")),
                 "note": called
                 if h.get("answer")
@@ -166,7 +170,7 @@ def ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
                 else "",
                 "drawn": drawing.interval(
                     scale,
-                    value,
+                    math.sqrt(value / base),
                     ends,
                     "answer"
                     if h.get("in_set")
@@ -199,4 +203,4 @@ def ramp() -> Markup:
 
 def _listed(x: float | list[float] | None) -> Markup:
     values = x if isinstance(x, list) else [x]
-    return Markup("<br>").join(summary_text.short(v) for v in values)
+    return Markup("<br>").join(number_text.short(v) for v in values)

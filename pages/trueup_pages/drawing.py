@@ -12,19 +12,15 @@ from typing import Any
 
 from markupsafe import Markup
 
-from trueup.diagnose.summary_text import (
-    NEW_NUMBERS,
-    NOISE,
-    SAME_NUMBERS,
-    UNEXPLAINED,
-    percent,
-    short,
-    unit,
-)
+from trueup.diagnose.number_text import percent, short, unit
+from trueup.diagnose.summary_text import NEW_NUMBERS, NOISE, SAME_NUMBERS, UNEXPLAINED
 
 LEVELS = 11  # colours of a map; odd, so that the middle one is zero
 LEFT, BOTTOM, CELL_AREA = 66, 36, (300, 200)
 PLOT, ERROR = (960, 230), (960, 120)
+MOST_TICKS = 5.0
+TINY = 1e-9  # of a step: a range that ends on a tick has it
+HATCH = 9.0  # pixels from one stroke to the next
 SPARK = (120, 26)
 Pairs = Sequence[tuple[float, float | None]]
 
@@ -88,7 +84,7 @@ def lines(
         value, y = along[0] + part * (along[1] - along[0]), box[1] + (1.0 - part) * box[3]
         drawn.append(
             f'<line class="grid" x1="{LEFT}" x2="{width - 8}" y1="{y:.1f}" '
-            f'y2="{y:.1f}"/>{_text(LEFT - 6, y + 4, f"{value:.3g}", "end")}'
+            f'y2="{y:.1f}"/>{_text(LEFT - 6, y + 4, short(value), "end")}'
         )
     for name, values in series.items():
         pieces = _runs(list(zip(t_s, values, strict=True)), across, along, box)
@@ -113,6 +109,32 @@ def recording(recordings: Mapping[str, Any], channel: Mapping[str, Any], every: 
     )
 
 
+def ticks(low: float, high: float) -> list[float]:
+    """Returns round numbers within a range, two to five of them."""
+    if not high > low:
+        return [low]
+    step = 10.0 ** math.floor(math.log10(high - low))
+    step *= next((f for f in (0.2, 0.5, 1.0) if (high - low) / (f * step) <= MOST_TICKS), 1.0)
+    first = math.ceil(low / step - TINY)
+    return [round(i * step, 12) for i in range(first, math.floor(high / step + TINY) + 1)]
+
+
+def _part(value: float, edges: Sequence[float]) -> float:
+    return (value - edges[0]) / (edges[-1] - edges[0]) if edges[-1] > edges[0] else 0.5
+
+
+def _hatched(x: float, y: float, width: float, height: float) -> str:
+    """Draws a box in which there is nothing: what is known is drawn over it."""
+    strokes = []
+    for i in range(1, round((width + height) / HATCH)):
+        along = i * HATCH
+        x0, y0 = min(along, width), max(along - width, 0.0)
+        x1, y1 = max(along - height, 0.0), min(along, height)
+        strokes.append(f"M{x + x0:.0f} {y + y0:.0f}L{x + x1:.0f} {y + y1:.0f}")
+    box = f'<rect class="empty" x="{x}" y="{y}" width="{width}" height="{height}"/>'
+    return f'{box}<path class="hatch" d="{"".join(strokes)}"/>'
+
+
 def heat(of: Mapping[str, Any], layer: str, pair: str) -> Markup:
     """Draws a map of mean residuals over two of speed, command and time.
 
@@ -129,26 +151,20 @@ def heat(of: Mapping[str, Any], layer: str, pair: str) -> Markup:
                 level = round((min(max(value / scale, -1.0), 1.0) + 1.0) / 2.0 * (LEVELS - 1))
                 x, y = LEFT + j * w, 6 + (len(rows) - 1 - i) * h
                 paths.setdefault(level, []).append(f"M{x:.1f} {y:.1f}h{w:.2f}v{h:.2f}h-{w:.2f}z")
-    body = f'<rect class="empty" x="{LEFT}" y="6" width="{width}" height="{height}"/>'
+    body = _hatched(LEFT, 6.0, width, height)
     body += "".join(
         f'<path class="h{level}" d="{"".join(d)}"/>' for level, d in sorted(paths.items())
     )
-    for edges, ends in ((across["edges"], "x"), (along["edges"], "y")):
-        for value, at in ((edges[0], 0.0), (edges[-1], 1.0)):
-            if ends == "x":
-                body += _text(
-                    LEFT + at * width,
-                    height + 20,
-                    f"{round(value, 12):.2g}",
-                    ("start", "middle", "end")[round(2 * at)],
-                )
-            else:
-                body += _text(
-                    LEFT - 5,
-                    6 + (1.0 - at) * height + (10 if at == 1.0 else 0 if at == 0.0 else 4),
-                    f"{round(value, 12):.2g}",
-                    "end",
-                )
+    for value in ticks(across["edges"][0], across["edges"][-1]):
+        x = LEFT + _part(value, across["edges"]) * width
+        body += (
+            f'<line class="grid" x1="{x:.1f}" x2="{x:.1f}" y1="{6 + height}" y2="{10 + height}"/>'
+        )
+        body += _text(x, height + 22, short(value), "middle")
+    for value in ticks(along["edges"][0], along["edges"][-1]):
+        y = 6 + (1.0 - _part(value, along["edges"])) * height
+        body += f'<line class="grid" x1="{LEFT - 4}" x2="{LEFT}" y1="{y:.1f}" y2="{y:.1f}"/>'
+        body += _text(LEFT - 6, y + 4, short(value), "end")
     body += _text(
         LEFT + width / 2, height + 35, f"{first} [{unit(across['unit']) or '1'}]", "middle"
     )

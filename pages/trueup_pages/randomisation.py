@@ -9,7 +9,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from trueup.diagnose.summary_text import short
+from trueup.diagnose.number_text import short
 from trueup_pages.drawing import Scale
 from trueup_pages.rendering import render
 

@@ -11,7 +11,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from trueup.diagnose import summary_text, summary_warnings
+from trueup.diagnose import number_text, summary_text, summary_warnings
 from trueup_pages import copy_as, drawing
 from trueup_pages.assets import text_of, url_of
 from trueup_pages.timeline import timeline
@@ -27,10 +27,10 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters.update(
-        short=summary_text.short,
-        unit=summary_text.unit,
+        short=number_text.short,
+        unit=number_text.unit,
         named=summary_text.name,
-        percent=summary_text.percent,
+        percent=number_text.percent,
         moment=moment,
         plain=lambda text: text.replace("_", " "),
     )
@@ -39,6 +39,7 @@ def _environment() -> Environment:
         inlined=lambda name: Markup(text_of(name)),
         drawing=drawing,
         words=summary_text,
+        numbers=number_text,
         warnings_of=summary_warnings.warnings,
         timeline=timeline,
         command=copy_as.command,

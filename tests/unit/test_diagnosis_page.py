@@ -68,7 +68,7 @@ def test_what_cannot_be_told_from_the_answer_is_above_the_line():
         "Coulomb friction",
         "Stribeck friction",
         "backlash",
-        "fitted parameters alone",
+        "refitted parameters alone",
     ]
     assert [r["divide"] for r in ranked] == ["", "", INSEPARABLE, ""]
     assert ranked[0]["note"] == "the answer"
@@ -121,4 +121,6 @@ def test_what_is_left_beside_the_noise_is_said_where_intervals_are(after, is_sai
         {"effect": "coulomb_friction", "channel": "joint", "estimate": estimate, "share": 0.5}
     ]
     document["gap"] |= {"after": after, "floor": 0.05}
-    assert ("What is left is 4 times the noise floor" in report_page(document, None)) == is_said
+    assert (
+        "What is left is 4 times what noise alone makes" in report_page(document, None)
+    ) == is_said

@@ -18,7 +18,7 @@ from trueup.diagnose.tuning_of_answers import EVIDENCE
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.fit.screening import Screening
 from trueup.model.block import joint, kind
-from trueup.model.effect import Effect
+from trueup.model.effect import Effect, label_of
 from trueup.model.plant import Plant
 
 
@@ -47,6 +47,7 @@ class Bound:
         return {
             **named,
             "parameter": self.parameter,
+            "label": label_of(self.effect, self.parameter),
             side: self.value,
             "unit": self.unit,
             "confidence": 0.95,

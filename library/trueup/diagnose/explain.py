@@ -23,7 +23,8 @@ from trueup.fit.rollout_fit import TWO_SIDED, RolloutFit
 from trueup.model.block import joint, kind
 from trueup.model.corrected import Corrected
 from trueup.model.dynamics import CompiledTree, Dynamics
-from trueup.model.effect import Effect, Number, Scale, effects
+from trueup.model.effect import Effect, Number, Scale, effects, equation_in
+from trueup.model.family import families
 from trueup.model.plant import Plant
 from trueup.model.simulator.dynamics import SimulatedDynamics
 from trueup.model.tree import SLIDE
@@ -112,6 +113,7 @@ def estimates(
                 "value": factor * value,
                 "unit": measure,
                 "ci95": [factor * low, factor * high],
+                "label": number.label,
             }
         entries.append(_entry(kind(term), values, share.get(term, 0.0), plant, joint(term)))
     return entries
@@ -128,6 +130,7 @@ def counted(quality: DataQuality, plant: Plant, samples: int) -> list[Json]:
                 "value": part,
                 "unit": "1",
                 "ci95": [max(part - error, 0.0), part + error],
+                "label": effects()["dropped_frames"].params[0].label,
             }
             entries.append(_entry(effects()["dropped_frames"], {"fraction": value}, 0.0, plant, at))
         steps: dict[str, Json] = {}
@@ -139,6 +142,7 @@ def counted(quality: DataQuality, plant: Plant, samples: int) -> list[Json]:
                     "value": float(step),
                     "unit": unit(n.scale, plant, at),
                     "ci95": [float(step), float(step)],
+                    "label": n.label,
                 }
         if steps:
             entries.append(_entry(effects()["sensor_quantization"], steps, 0.0, plant, at))
@@ -157,11 +161,28 @@ def _entry(
     }
     if plant.names_joints:
         entry["joint"] = name
-    return {**entry, "estimate": values, "share": share}
+    return {
+        **entry,
+        "equation": equation_in(effect.__doc__),
+        "estimate": values,
+        "share": share,
+    }
 
 
 def _inside(span: tuple[float, float], number: Number, scale: float) -> tuple[float, float]:
     return max(span[0], number.low * scale), min(span[1], number.high * scale)
+
+
+def _units_of_family(plant: Plant) -> dict[str, str]:
+    """The unit of each parameter of a family, in the declared units; empty for other models."""
+    if plant.family not in families():
+        return {}
+    acceleration = unit(Scale.ACCELERATION, plant)
+    measures = {
+        "acceleration / command": f"{acceleration}/{unit(Scale.COMMAND, plant)}",
+        "acceleration": acceleration,
+    }
+    return {p.name: measures.get(p.unit, p.unit) for p in families()[plant.family].params}
 
 
 def parameter_table(
@@ -174,8 +195,14 @@ def parameter_table(
     fitted = directions.determined.copy()
     dissipates = (directions.alone >= 0) & (directions.low == 0.0)
     fitted[directions.alone[dissipates]] = True
+    units = _units_of_family(plant)
     return {
-        name: {"nominal": nominal, "value": float(value), "ci95": [float(low), float(high)]}
+        name: {
+            "nominal": nominal,
+            "value": float(value),
+            "ci95": [float(low), float(high)],
+            **({"unit": units[name]} if name in units else {}),
+        }
         for (name, nominal), value, (low, high), determined in zip(
             plant.nominal.items(), fit.values, limits, fitted, strict=False
         )

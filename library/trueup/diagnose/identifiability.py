@@ -33,6 +33,7 @@ from trueup.fit.free_numbers import Directions, Free
 from trueup.fit.rollout_fit import TWO_SIDED
 from trueup.fit.screening import Screening
 from trueup.model.block import joint, kind
+from trueup.model.effect import label_of
 from trueup.model.plant import Plant
 
 Array = NDArray[np.float64]
@@ -90,6 +91,7 @@ class EffectShown:
             **({"joint": self.joint} if self.joint else {}),
             "shown": str(self.shown),
             "parameter": self.parameter,
+            "label": label_of(self.effect, self.parameter),
             "weakest": self.weakest,
             "unit": self.unit,
             "tied_to": list(self.tied_to),

@@ -16,7 +16,7 @@ closed   1 - (after^2 - floor^2) / (before^2 - floor^2)
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,9 +38,24 @@ RAN_AWAY = 1e6  # standard deviations: no error is larger
 
 
 @dataclass(frozen=True, slots=True)
+class ChannelGap:
+    """Held-out errors of one channel, in units of its standard `deviation`, which is in the
+    channel's own `unit`."""
+
+    before: float
+    after: float
+    deviation: float
+    unit: str
+
+    def document(self) -> dict[str, Json]:
+        """The errors as JSON."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True)
 class Gap:
     """Held-out errors: `before` of the nominal model; `same_numbers` of the same with the answer's
-    integration and a filtered start; `parameters_only` of the nominal form with new numbers;
+    integration and a filtered start; `parameters_only` of the refitted nominal form;
     `after` of the answer; `floor` what noise alone makes. `closed` is None where there was nothing
     to close."""
 
@@ -52,7 +67,7 @@ class Gap:
     floor: float
     closed: float | None
     ci95: tuple[float, float] | None
-    by_channel: dict[str, tuple[float, float]]
+    by_channel: dict[str, ChannelGap]
     beginnings: bool = True  # whether the windows that start with the logs are counted
 
     @property
@@ -78,9 +93,7 @@ class Gap:
             "closed": self.closed,
             "ci95": list(self.ci95) if self.ci95 else None,
             "beginnings": "counted" if self.beginnings else "left out",
-            "channels": {
-                name: {"before": b, "after": a} for name, (b, a) in self.by_channel.items()
-            },
+            "channels": {name: errors.document() for name, errors in self.by_channel.items()},
         }
 
 
@@ -209,8 +222,14 @@ def measure(
     if before.mean() > EVIDENCE.at_the_floor * base:
         closed = _closed(before.mean(), after.mean(), base)
         ends = _closed_ci95(before, after, base, rng)
-    names = [c.name for c in plant.layout.observations]
-    channels = {n: (_root(tables[0][:, i]), _root(tables[-1][:, i])) for i, n in enumerate(names)}
+    channels = {
+        c.name: ChannelGap(
+            _root(tables[0][:, i]), _root(tables[-1][:, i]), float(motion[column]), c.unit
+        )
+        for i, (c, column) in enumerate(
+            zip(plant.layout.observations, plant.state_columns, strict=True)
+        )
+    }
     counted = all(w.first[0] == 0 for w in windows)
     return Gap(
         horizon,

@@ -191,7 +191,7 @@ def _bearable(winner: Candidate, base: Candidate, criteria: SelectionCriteria) -
 
 
 def _improves(base: Candidate, nominal: RolloutFit) -> bool:
-    """Whether the nominal form with new numbers is certainly better than the nominal model."""
+    """Whether the refitted nominal form is certainly better than the nominal model."""
     noise = max(base.reduced_chi_square, SELECTION.least_chi_square)
     removed = nominal.reduced_chi_square - base.reduced_chi_square
     worse = np.nan_to_num(nominal.costs - base.check.costs, nan=0.0)

@@ -28,7 +28,8 @@ from trueup.episode.layout import Hold
 from trueup.fit.rollout_fit import TWO_SIDED, RolloutFit
 from trueup.model.block import joint, kind
 from trueup.model.block import term as term_at
-from trueup.model.effect import effects
+from trueup.model.effect import effects, equation_in
+from trueup.model.family import families
 from trueup.model.mjcf_patch import Patch
 from trueup.model.plant import Plant
 from trueup.recording.mapping import guesses_of
@@ -90,6 +91,7 @@ def report(
         "schema": SCHEMA,
         "plant": plant.name,
         "findings": documents(findings),
+        "equation": _nominal_equation(plant),
         "verdict": str(verdict),
         "effects": list(named),
         "incomplete": choice.left
@@ -144,6 +146,12 @@ def report(
             "version": trueup.__version__,
         },
     }
+
+
+def _nominal_equation(plant: Plant) -> str | None:
+    """The equation of the nominal form; None where the model is a robot's or a simulator."""
+    family = families().get(plant.family)
+    return None if family is None else equation_in(family.__doc__)
 
 
 def _of_simulator(plant: Plant, search: Search) -> dict[str, Json]:

@@ -112,8 +112,8 @@ def _certainly_acts(part: Predicted, base: Predicted) -> bool:
 
 def _of_robot(choice: Choice, yardstick: Yardstick) -> Choice:
     """The choice, or that of one kind of effect, at whichever joints of a robot: of those with
-    which held-out windows are certainly predicted better than by new numbers alone, the one that
-    fits best; the others are alternatives where windows do not tell them from it.
+    which held-out windows are certainly predicted better than by refitted parameters alone, the
+    one that fits best; the others are alternatives where windows do not tell them from it.
 
     A robot's fits take long, so that none is made again; and its motions may be about to tip over,
     so that windows are compared by the logarithms of their errors.

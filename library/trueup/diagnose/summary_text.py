@@ -7,13 +7,14 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
+from trueup.diagnose.number_text import percent, plus_minus, short, unit
 from trueup.diagnose.tuning_of_answers import EVIDENCE
 
 PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 MOST_NUMBERS = 3  # that a sentence names
 SHORT_DIGEST = 12  # digits of a recording's digest
-DIGITS = 2  # of an uncertainty that are worth writing
-SAME_NUMBERS, NEW_NUMBERS, NEAREST = "integration and start", "new numbers", "nearest composition"
+SAME_NUMBERS, NEW_NUMBERS = "integration and start", "refitted parameters"
+NEAREST = "nearest combination"
 UNEXPLAINED, NOISE = "not explained", "noise floor"
 EFFECTS = "effects"
 # faults of a log with which no diagnosis of the machine means anything
@@ -28,7 +29,8 @@ MISLEADING = (
     "velocity_sign",
 )
 NO_GAP = "The nominal model already predicts as well as the noise allows"
-UNKNOWN = "A gap remains that no composition of the catalogue explains"
+UNKNOWN = "A gap remains that no combination of known effects explains"
+REFITTING = "Refitting the nominal parameters"
 
 
 def sentence(document: Mapping[str, Any]) -> str:
@@ -46,12 +48,14 @@ def sentence(document: Mapping[str, Any]) -> str:
             text = UNKNOWN + _nearest_words(document)
     if gap["closed"] is not None:
         text += (
-            f"; held-out error falls from {short(gap['before'])} to {short(gap['after'])}, "
-            f"the noise floor is {short(gap['floor'])}"
+            f". The held-out error falls from {short(gap['before'])} to {short(gap['after'])}; "
+            f"noise alone makes {short(gap['floor'])}"
         )
     others = document["indistinguishable"]
     if others:
-        text += ". The data cannot tell this from " + ", or ".join(composition(o) for o in others)
+        text += ". The recordings cannot tell this from " + ", or ".join(
+            composition(o) for o in others
+        )
     return doubts + text + _put_aside(document) + "."
 
 
@@ -104,24 +108,24 @@ def faults(document: Mapping[str, Any]) -> list[str]:
 
 
 def _same_numbers(document: Mapping[str, Any]) -> str:
-    """What helps a nominal model whose numbers hold."""
-    shares, text = _shares(document), "No effect is missing and no number has to change"
-    # an older report does not separate integration and start from new numbers
+    """What helps a nominal model whose parameters hold."""
+    shares, text = _shares(document), "No effect is missing and no parameter has to change"
+    # an older report does not separate integration and start from refitted parameters
     if _is_worth_naming(shares, SAME_NUMBERS):
         text += (
-            "; the integration scheme and the filtered start of this diagnosis explain "
+            f". The integration scheme and the filtered start of this diagnosis close "
             f"{percent(shares[SAME_NUMBERS])} of the gap"
         )
         if _is_worth_naming(shares, NEW_NUMBERS):
             text += (
-                f", new numbers another {percent(shares[NEW_NUMBERS])}, which is not certain to be "
-                "an improvement"
+                f"; refitting closes another {percent(shares[NEW_NUMBERS])}, which is not certain "
+                "to be an improvement"
             )
     return text
 
 
 def _new_numbers(document: Mapping[str, Any]) -> str:
-    """How much of the gap new numbers explain, alone or beside integration and start."""
+    """How much of the gap refitting closes, alone or beside integration and start."""
     shares, left = _shares(document), is_above_floor(document["gap"])
     beside = _is_worth_naming(shares, SAME_NUMBERS)
     share = shares.get(NEW_NUMBERS, 1.0)
@@ -129,11 +133,11 @@ def _new_numbers(document: Mapping[str, Any]) -> str:
         part = f"{percent(share)} of the gap"
     else:
         part = "most of the gap" if left else "the gap"
-    text = f"New numbers in the nominal form explain {part}{_and_others(shares, SAME_NUMBERS)}"
+    text = f"{REFITTING} closes {part}{_and_others(shares, SAME_NUMBERS)}"
     text += _carried(document) or _moved(document)
     if left:
-        return f"{text}; no effect of the catalogue takes a material part of what remains"
-    return f"{text}; no effect is missing"
+        return f"{text}. No known effect closes a material part of the rest"
+    return f"{text}. No effect is missing"
 
 
 def _incomplete(document: Mapping[str, Any]) -> str:
@@ -142,14 +146,14 @@ def _incomplete(document: Mapping[str, Any]) -> str:
     if left is None:
         return ""
     return (
-        f"; it certainly acts, but its law is incomplete: over all recordings it leaves "
-        f"{percent(left)} of the squared error of new numbers"
+        f". It certainly acts, but its equation is incomplete: over all recordings it leaves "
+        f"{percent(left)} of the squared error that refitting leaves"
     )
 
 
 def _carried(document: Mapping[str, Any]) -> str:
-    """The mass that the new numbers are, and the links on which it would look the same; empty where
-    they are none. An older report does not say."""
+    """The mass that the refitted parameters are, and the links on which it would look the same;
+    empty where they are none. An older report does not say."""
     payload = document.get("payload")
     if not payload:
         return ""
@@ -160,7 +164,7 @@ def _carried(document: Mapping[str, Any]) -> str:
     if None not in across:
         away = f", {short(math.hypot(*across))} m from the axis of its joint"
     first, *others = payload["links"]
-    text = f": they are those of {mass} kg more on the link of {first}{away}"
+    text = f". They are those of {mass} kg more on the link of {first}{away}"
     return f"{text} (on that of {' or '.join(others)} it would look the same)" if others else text
 
 
@@ -187,28 +191,53 @@ def _nearest_words(document: Mapping[str, Any]) -> str:
         return ""
     return (
         f". The nearest is {composition(nearest['effects'])}, which leaves "
-        f"{percent(min(nearest['leaves'], 1.0))} of what new numbers leave"
+        f"{percent(min(nearest['leaves'], 1.0))} of the error that refitting leaves"
     )
 
 
 def _effects(document: Mapping[str, Any]) -> str:
-    """What acts, and how much of the gap it explains; new numbers first where they explain most."""
-    shares, named = _shares(document), [_with_estimate(e) for e in document["effects"]]
-    joined = " and ".join(named)
-    if shares.get(NEW_NUMBERS, 0.0) > EVIDENCE.most_of_it:
+    """What acts, and how much of the gap it closes; refitting first where it closes most."""
+    every, parts = shares(document), _shares(document)
+    material, slight = material_effects(document["effects"])
+    joined = " and ".join(_with_estimate(e) for e in material)
+    closes = "closes" if len(material) == 1 else "close"
+    closed = sum(every.get(name(e), 0.0) for e in material)
+    part = percent(closed) if closed else None
+    if parts.get(NEW_NUMBERS, 0.0) > EVIDENCE.most_of_it:
         text = (
-            f"New numbers in the nominal form explain {percent(shares[NEW_NUMBERS])} of the "
-            f"gap{_and_others(shares, SAME_NUMBERS)}; what they leave is {joined.rstrip(',')}"
+            f"{REFITTING} closes {percent(parts[NEW_NUMBERS])} of the gap"
+            f"{_and_others(parts, SAME_NUMBERS)}. "
         )
-    elif shares.get(EFFECTS):
-        text = (
-            f"{joined} {'explains' if len(named) == 1 else 'explain'} "
-            f"{percent(shares[EFFECTS])} of the gap"
-            f"{_and_others(shares, NEW_NUMBERS, SAME_NUMBERS)}"
+        named = joined[:1].upper() + joined[1:]
+        text += (
+            f"{named} {closes} {part}" if part else f"{named.rstrip(',')} {_acts(material)}, too"
         )
+    elif part:
+        text = f"{joined} {closes} {part} of the gap{_and_others(parts, NEW_NUMBERS, SAME_NUMBERS)}"
     else:
-        text = joined.rstrip(",")
-    return text[0].upper() + text[1:]
+        text = f"{joined.rstrip(',')} {_acts(material)}"
+    if slight:
+        names = " and ".join(map(name, slight))
+        matter = "matters" if len(slight) == 1 else "matter"
+        text += (
+            f". {names[0].upper()}{names[1:]} {_acts(slight)}, too, and {matter} less than "
+            f"{100.0 * EVIDENCE.worth_naming:g} %"
+        )
+    return text[:1].upper() + text[1:]
+
+
+def _acts(entries: Sequence[Any]) -> str:
+    return "acts" if len(entries) == 1 else "act"
+
+
+def material_effects(
+    entries: Sequence[Mapping[str, Any]],
+) -> tuple[list[Mapping[str, Any]], list[Mapping[str, Any]]]:
+    """The effects that are worth a headline, and those that matter less; if none is, all are."""
+    material = [e for e in entries if e["share"] >= EVIDENCE.worth_naming]
+    if not material:
+        return list(entries), []
+    return material, [e for e in entries if e not in material]
 
 
 def _and_others(shares: Mapping[str, float], *parts: str) -> str:
@@ -228,11 +257,11 @@ def is_above_floor(gap: Mapping[str, Any]) -> bool:
 
 def waterfall(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The parts of the held-out squared error, the nominal model's being 1: what the answer's
-    integration and start take, what new numbers take, each effect, what is left, the noise.
+    integration and start take, what refitting takes, each effect, what is left, the noise.
 
     What all effects take together is measured; it is split between several as each one's removal
     brings back. Where the verdict is an unknown effect, the nearest composition takes their place.
-    An older report has no `same_numbers`: there, new numbers include integration and start. Empty
+    An older report has no `same_numbers`: there, refitting includes integration and start. Empty
     where there is no gap.
     """
     gap = document["gap"]
@@ -257,15 +286,24 @@ def waterfall(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     return [{"what": what, "effect": is_effect, "share": share} for what, is_effect, share in parts]
 
 
-def _shares(document: Mapping[str, Any]) -> dict[str, float]:
-    """What each part takes of the gap above the noise floor, effects together; empty where there is
-    no gap."""
-    shares: dict[str, float] = {}
+def shares(document: Mapping[str, Any]) -> dict[str, float]:
+    """What each part takes of the gap above the noise floor, by what it is called; empty where
+    there is no gap."""
+    parts: dict[str, float] = {}
     for part in waterfall(document):
-        what = EFFECTS if part["effect"] else part["what"]
-        shares[what] = shares.get(what, 0.0) + part["share"]
-    whole = 1.0 - shares.pop(NOISE, 1.0)
-    return {what: share / whole for what, share in shares.items()} if whole > 0.0 else {}
+        parts[part["what"]] = parts.get(part["what"], 0.0) + part["share"]
+    whole = 1.0 - parts.pop(NOISE, 1.0)
+    return {what: share / whole for what, share in parts.items()} if whole > 0.0 else {}
+
+
+def _shares(document: Mapping[str, Any]) -> dict[str, float]:
+    """`shares`, with the effects together."""
+    named = set(map(name, document["effects"]))
+    together: dict[str, float] = {}
+    for what, share in shares(document).items():
+        key = EFFECTS if what in named else what
+        together[key] = together.get(key, 0.0) + share
+    return together
 
 
 def _with_estimate(entry: Mapping[str, Any]) -> str:
@@ -275,10 +313,12 @@ def _with_estimate(entry: Mapping[str, Any]) -> str:
         return words
     low, high = estimate[1]["ci95"]
     value = plus_minus(estimate[1]["value"], (high - low) / 2.0)
-    return (
-        f"{words}, {estimate[0].replace('_', ' ')} {value} {unit(estimate[1]['unit'])}".rstrip()
-        + ","
-    )
+    return f"{words}, {label_of(*estimate)} {value} {unit(estimate[1]['unit'])}".rstrip() + ","
+
+
+def label_of(parameter: str, number: Mapping[str, Any]) -> str:
+    """What a parameter is called; an older report has its name alone."""
+    return str(number.get("label") or parameter.replace("_", " "))
 
 
 def name(entry: Any) -> str:
@@ -293,32 +333,3 @@ def name(entry: Any) -> str:
 def composition(effects: Sequence[Any], nothing: str = "no effect") -> str:
     """Effects that act together, in words."""
     return " with ".join(map(name, effects)) or nothing
-
-
-def unit(text: str) -> str:
-    """A unit as it is printed: that of a bare number is nothing."""
-    return "" if text == "1" else text.replace("^2", "²").replace("^3", "³")
-
-
-def short(x: float | None) -> str:
-    """Three digits of a number; a dash where there is none."""
-    return "–" if x is None else f"{x:.3g}".replace("-", "−")
-
-
-def plus_minus(value: float, half: float) -> str:
-    """A value and its uncertainty, to the uncertainty's own digits."""
-    if not (math.isfinite(half) and half > 0.0):
-        return short(value)
-    places = DIGITS - 1 - math.floor(math.log10(half))
-    if not 0 <= places <= 6:  # noqa: PLR2004  (longer numbers are read by their powers of ten)
-        return f"{short(value)} ± {half:.2g}"
-    return f"{value:.{places}f} ± {half:.{places}f}".replace("-", "−")
-
-
-def percent(share: float) -> str:
-    """A share, with a digit more where it is small."""
-    if share == 0.0:
-        return "0 %"
-    if share < 0.001:  # noqa: PLR2004 - the digits of a percentage
-        return "< 0.1 %"
-    return f"{100.0 * share:.{0 if share >= 0.1 else 1}f} %"  # noqa: PLR2004

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from trueup.collect.step_warning import off_step
-from trueup.diagnose.summary_text import faults, short
+from trueup.diagnose.number_text import short
+from trueup.diagnose.summary_text import faults
 from trueup.diagnose.tuning_of_answers import EVIDENCE
 
 
@@ -21,7 +22,7 @@ def warnings(document: Mapping[str, Any]) -> list[str]:
     if evidence.get("served") == "nominal":
         sentences.append(
             "No correction that was tried predicts the held-out recordings better than the nominal "
-            "model: the model that is served has its numbers."
+            "model: the model of this diagnosis has its parameters."
         )
     if evidence.get("no_force"):
         sentences.append(
@@ -31,7 +32,7 @@ def warnings(document: Mapping[str, Any]) -> list[str]:
     if evidence.get("kept_as_declared"):
         sentences.append(
             f"Kept as declared: {', '.join(evidence['kept_as_declared'])}. The recordings show "
-            "it only together with other numbers."
+            "it only together with other parameters."
         )
     if evidence.get("guessed"):
         sentences.append(f"Guessed, and confirmed by nobody: {'; '.join(evidence['guessed'])}.")
@@ -48,9 +49,9 @@ def warnings(document: Mapping[str, Any]) -> list[str]:
         and gap["parameters_only"] > EVIDENCE.misleading * gap["before"]
     ):
         sentences.append(
-            "Refitting the nominal numbers without the answer makes held-out predictions worse "
-            f"({short(gap['parameters_only'])}, was {short(gap['before'])}): "
-            "do not use those numbers alone."
+            "Refitting the nominal parameters without the effects makes held-out predictions "
+            f"worse ({short(gap['parameters_only'])}, was {short(gap['before'])}): "
+            "do not use those parameters alone."
         )
     ramps = [name for name, h in evidence.get("holds", {}).items() if _found_to_be_ramp(h)]
     if ramps:

@@ -66,7 +66,7 @@ class EvidenceTuning:
         2.0, "times the floor", "An error above is clearly no noise."
     )
     misleading: float = number(
-        1.05, "times the nominal error", "New numbers that do worse are no improvement."
+        1.05, "times the nominal error", "Refitted parameters that do worse are no improvement."
     )
     worth_naming: float = number(0.05, "of the gap", "A smaller part is not named in a sentence.")
     most_of_it: float = number(0.5, "of the gap", "More than that is called most of it.")
@@ -101,11 +101,13 @@ class SecondLookTuning:
         6, "of one effect", "Those that fit best; each is fitted as often as there are recordings."
     )
     on_most: float = number(
-        0.7, "of the recordings", "The part must predict so many better than new numbers do."
+        0.7,
+        "of the recordings",
+        "The part must predict so many better than refitted parameters do.",
     )
     leaves: float = number(
         0.5,
-        "of the squared error of new numbers",
+        "of the squared error of refitted parameters",
         "Of all recordings: a part that leaves more is none to rely on.",
     )
     iterations: int = number(6, "steps", "From the fit to all recordings to that without one.")

@@ -25,7 +25,7 @@ from trueup.export.provenance import Provenance
 from trueup.model.block import joint, kind
 from trueup.model.corrected import Corrected
 from trueup.model.dynamics import CompiledFamily, CompiledTree, Dynamics
-from trueup.model.effect import effects
+from trueup.model.effect import effects, equation_in
 from trueup.model.mjcf_patch import Left
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor
@@ -369,13 +369,7 @@ def _left(model: Corrected) -> list[Left]:
     for term in model.hypothesis.effects:
         name = kind(term).name
         if name not in HELD or name in INSTEAD:
-            equation = _equation(effects()[name].__doc__ or "")
+            equation = equation_in(effects()[name].__doc__)
             instead = INSTEAD.get(name, f"write it into the step of the simulation: {equation}")
             left.append(Left(name, model.plant.joint_name(joint(term)), instead))
     return left
-
-
-def _equation(text: str) -> str:
-    """The equation that an effect's docstring gives."""
-    after = text.partition("Equation:")[2].partition("Source:")[0]
-    return " ".join(after.split())

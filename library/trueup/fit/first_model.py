@@ -2,8 +2,8 @@
 
 Rates and the range of the commands are read off the episodes. The nominal form is the simplest
 family that the data do not clearly speak against, with its numbers identified: so a diagnosis from
-it says what is missing beyond new numbers. A joint that is commanded by positions is an oscillator
-about its command.
+it says what is missing beyond other parameters. A joint that is commanded by positions is an
+oscillator about its command.
 """
 
 from __future__ import annotations

@@ -92,14 +92,26 @@ class Scale(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A parameter of an effect: its scale, the value at which the effect vanishes, and its range in
-    units of the scale."""
+    """A parameter of an effect: its scale, the value at which the effect vanishes, its range in
+    units of the scale, and what people call it where its name alone does not say."""
 
     name: str
     scale: Scale
     null: float = 0.0
     low: float = 0.0
     high: float = INFINITY
+    called: str = ""
+
+    @property
+    def label(self) -> str:
+        """What people call it."""
+        return self.called or self.name.replace("_", " ")
+
+
+def equation_in(docstring: str | None) -> str:
+    """The equation that a docstring gives, in one line; empty where it gives none."""
+    after = (docstring or "").partition("Equation:")[2].partition("Source:")[0]
+    return " ".join(after.split())
 
 
 @cache
@@ -243,6 +255,12 @@ def known_effect(name: str, source: str | None) -> type[Effect]:
             "it.",
         )
     return effect
+
+
+def label_of(effect: str, parameter: str) -> str:
+    """What people call a parameter of an effect."""
+    labels = {n.name: n.label for n in effects()[effect].params}
+    return labels.get(parameter, parameter)
 
 
 @cache

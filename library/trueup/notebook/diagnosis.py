@@ -98,7 +98,7 @@ class Diagnosis:
 
     @cached_property
     def effects(self) -> tuple[FittedEffect, ...]:
-        """The effects of the answer, none where new numbers alone or nothing explain the gap."""
+        """The effects of the answer, none where refitting or nothing closes the gap."""
         return tuple(
             FittedEffect(
                 entry["effect"],

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from trueup.diagnose.summary_text import composition, sentence, short
+from trueup.diagnose.number_text import short
+from trueup.diagnose.summary_text import composition, sentence
 from trueup.diagnose.summary_warnings import warnings
 from trueup.notebook.ranking import ranked
 
@@ -47,7 +48,9 @@ def _ranking(report: Mapping[str, Any]) -> str:
 
 
 def _words(hypothesis: Mapping[str, Any]) -> str:
-    numbers = "nominal numbers" if hypothesis["parameters"] == "nominal" else "new numbers"
+    numbers = (
+        "nominal parameters" if hypothesis["parameters"] == "nominal" else "refitted parameters"
+    )
     effects = hypothesis["effects"]
     return f"{composition(effects)}, {numbers}" if effects else numbers
 

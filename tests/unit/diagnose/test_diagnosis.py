@@ -10,9 +10,10 @@ from tests.support.simulated import recorded_twice as recorded
 from trueup.diagnose.data_quality import assess
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.figures import figures
+from trueup.diagnose.number_text import percent
 from trueup.diagnose.problem_setup import Recordings, Setup
 from trueup.diagnose.search import Search
-from trueup.diagnose.summary_text import percent, sentence, waterfall
+from trueup.diagnose.summary_text import sentence, waterfall
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
 from trueup.fit.fitter import Fitter
@@ -135,7 +136,10 @@ def test_nominal_numbers_that_hold_are_told_from_the_steps_they_are_integrated_o
     assert (found.document["verdict"], named(found)) == ("no_gap", [])
     assert found.document["gap"]["closed"] > 0.9
     integration, numbers, *_, noise = waterfall(found.document)
-    assert (integration["what"], numbers["what"]) == ("integration and start", "new numbers")
+    assert (integration["what"], numbers["what"]) == (
+        "integration and start",
+        "refitted parameters",
+    )
     part = integration["share"] / (1.0 - noise["share"])
     assert part > 0.95
     assert numbers["share"] < 0.01

@@ -103,11 +103,12 @@ def test_a_limit_is_bounded_from_below_by_the_weakest_that_would_have_shown():
 
 
 def test_a_bound_is_told_with_its_unit_and_confidence():
-    told = Bound("backlash", "elbow", "width", 0.01, False, "rad", "").document()
+    told = Bound("backlash", "elbow", "gap", 0.01, False, "rad", "").document()
     assert told == {
         "effect": "backlash",
         "joint": "elbow",
-        "parameter": "width",
+        "parameter": "gap",
+        "label": "gap",
         "below": 0.01,
         "unit": "rad",
         "confidence": 0.95,
@@ -128,6 +129,7 @@ def test_repeated_frames_are_named_from_half_a_per_cent_on(joint):
         "value": 0.1,
         "unit": "1",
         "ci95": [pytest.approx(0.1 - half), pytest.approx(0.1 + half)],
+        "label": "fraction of frames",
     }
 
 

@@ -3,7 +3,8 @@
 import pytest
 
 from trueup.collect.step_warning import off_step
-from trueup.diagnose.summary_text import composition, plus_minus, sentence, short, waterfall
+from trueup.diagnose.number_text import plus_minus, short
+from trueup.diagnose.summary_text import composition, sentence, waterfall
 from trueup.diagnose.summary_warnings import warnings
 
 
@@ -56,17 +57,15 @@ def friction(share=0.6, **more):
 
 def test_an_effect_is_told_with_its_level_its_part_and_the_errors():
     assert sentence(report([friction()], numbers=0.2)) == (
-        "Coulomb friction at the joint, level 0.210 ± 0.020 m/s², explains 91 % of the gap, "
-        "new numbers 9.3 %; "
-        "held-out error falls from 0.21 to 0.013, the noise floor is 0.012."
+        "Coulomb friction at the joint, level 0.210 ± 0.020 m/s², closes 91 % of the gap, refitted "
+        "parameters 9.3 %. The held-out error falls from 0.21 to 0.013; noise alone makes 0.012."
     )
 
 
 def test_new_numbers_come_first_where_they_explain_most():
     told = sentence(report([friction()]))
     assert told.startswith(
-        "New numbers in the nominal form explain 68 % of the gap; what they leave is "
-        "Coulomb friction at the joint, level"
+        "Refitting the nominal parameters closes 68 % of the gap. Coulomb friction at the joint, level"
     )
 
 
@@ -74,7 +73,7 @@ def test_a_robots_joint_is_named_and_so_is_what_cannot_be_told():
     rival = [{"effect": "stribeck_friction", "joint": "elbow"}]
     told = sentence(report([friction(joint="elbow")], numbers=0.2, rivals=[rival]))
     assert "Coulomb friction at elbow" in told
-    assert told.endswith("The data cannot tell this from Stribeck friction at elbow.")
+    assert told.endswith("The recordings cannot tell this from Stribeck friction at elbow.")
 
 
 @pytest.mark.parametrize(
@@ -84,21 +83,21 @@ def test_a_robots_joint_is_named_and_so_is_what_cannot_be_told():
         (
             "unknown_effect",
             0.1,
-            "A gap remains that no composition of the catalogue explains; held-out error falls "
-            "from 0.21 to 0.1, the noise floor is 0.012.",
+            "A gap remains that no combination of known effects explains. The held-out error falls "
+            "from 0.21 to 0.1; noise alone makes 0.012.",
         ),
         (
             "parameters_only",
             0.013,
-            "New numbers in the nominal form explain the gap; no effect is missing; held-out "
-            "error falls from 0.21 to 0.013, the noise floor is 0.012.",
+            "Refitting the nominal parameters closes the gap. No effect is missing. The held-out "
+            "error falls from 0.21 to 0.013; noise alone makes 0.012.",
         ),
         (
             "parameters_only",
             0.1,
-            "New numbers in the nominal form explain most of the gap; no effect of the catalogue "
-            "takes a material part of what remains; held-out error falls from 0.21 to 0.1, the "
-            "noise floor is 0.012.",
+            "Refitting the nominal parameters closes most of the gap. No known effect closes a "
+            "material part of the rest. The held-out error falls from 0.21 to 0.1; noise alone "
+            "makes 0.012.",
         ),
     ],
 )
@@ -112,7 +111,7 @@ def test_the_waterfall_adds_up_to_the_whole():
     parts = waterfall(two)
     assert [p["what"] for p in parts] == [
         "integration and start",
-        "new numbers",
+        "refitted parameters",
         "Coulomb friction",
         "backlash",
         "not explained",
@@ -126,24 +125,26 @@ def test_the_waterfall_adds_up_to_the_whole():
 
 def test_what_the_answers_integration_takes_is_not_told_as_new_numbers():
     text = sentence(report([friction()], same=0.12))
-    assert "explains 32 % of the gap, integration and start 68 %;" in text
-    assert "new numbers" not in text
+    assert "closes 32 % of the gap, integration and start 68 %." in text
+    assert "refitted parameters" not in text
     text = sentence(report([friction()], same=0.18, numbers=0.05))
     assert text.startswith(
-        "New numbers in the nominal form explain 68 % of the gap, integration and start 27 %; what "
+        "Refitting the nominal parameters closes 68 % of the gap, integration and start 27 %. "
     )
     text = sentence(report(verdict="parameters_only", same=0.1, numbers=0.013))
     assert text.startswith(
-        "New numbers in the nominal form explain 22 % of the gap, integration and start 78 %; no "
-        "effect is missing;"
+        "Refitting the nominal parameters closes 22 % of the gap, integration and start 78 %. No "
+        "effect is missing."
     )
     text = sentence(report(verdict="parameters_only", same=0.21, after=0.2))
-    assert text.startswith("New numbers in the nominal form explain 9.3 % of the gap; no effect of")
+    assert text.startswith(
+        "Refitting the nominal parameters closes 9.3 % of the gap. No known effect"
+    )
 
 
 def test_an_effect_that_takes_nothing_held_out_is_named_without_a_part():
     text = sentence(report([friction()], same=0.012, after=0.013))
-    assert text.startswith("Coulomb friction at the joint, level 0.210 ± 0.020 m/s²; held-out")
+    assert text.startswith("Coulomb friction at the joint, level 0.210 ± 0.020 m/s² acts. The")
 
 
 def test_what_the_nearest_composition_takes_is_not_told_as_new_numbers():
@@ -151,27 +152,27 @@ def test_what_the_nearest_composition_takes_is_not_told_as_new_numbers():
         p["what"]: p["share"]
         for p in waterfall(report(verdict="unknown_effect", numbers=0.2, after=0.1))
     }
-    assert parts["new numbers"] == pytest.approx(1.0 - (0.2 / 0.21) ** 2)
-    assert parts["nearest composition"] == pytest.approx((0.2**2 - 0.1**2) / 0.21**2)
+    assert parts["refitted parameters"] == pytest.approx(1.0 - (0.2 / 0.21) ** 2)
+    assert parts["nearest combination"] == pytest.approx((0.2**2 - 0.1**2) / 0.21**2)
 
 
 def test_a_model_that_is_only_integrated_or_started_otherwise_keeps_its_numbers():
     text = sentence(report(verdict="no_gap", same=0.014, numbers=0.013, after=0.013))
     assert text == (
-        "No effect is missing and no number has to change; the integration scheme and the filtered "
-        "start of this diagnosis explain 100 % of the gap; held-out error falls from 0.21 to "
-        "0.013, the noise floor is 0.012."
+        "No effect is missing and no parameter has to change. The integration scheme and the "
+        "filtered start of this diagnosis close 100 % of the gap. The held-out error falls from "
+        "0.21 to 0.013; noise alone makes 0.012."
     )
 
 
 def test_a_report_of_before_tells_integration_and_numbers_as_one():
     old = report([friction()])
     del old["gap"]["same_numbers"]
-    assert [p["what"] for p in waterfall(old)][:2] == ["new numbers", "Coulomb friction"]
+    assert [p["what"] for p in waterfall(old)][:2] == ["refitted parameters", "Coulomb friction"]
     assert sentence(old) == sentence(report([friction()]))
     old = report(verdict="no_gap", after=0.014)
     del old["gap"]["same_numbers"]
-    assert sentence(old).startswith("No effect is missing and no number has to change; held-out")
+    assert sentence(old).startswith("No effect is missing and no parameter has to change. The")
 
 
 def test_shares_are_never_negative_however_the_errors_lie():
@@ -193,7 +194,7 @@ def test_without_a_gap_there_is_no_waterfall():
 def test_numbers_are_written_to_their_uncertainty():
     assert plus_minus(0.23364, 0.01025) == "0.234 ± 0.010"
     assert plus_minus(-3.14159, 0.5) == "−3.14 ± 0.50"
-    assert plus_minus(1234.5, 200.0) == "1.23e+03 ± 2e+02"
+    assert plus_minus(1234.5, 200.0) == "1230 ± 200"
     assert plus_minus(2.0, 0.0) == "2"
     assert short(None) == "–"
     assert composition([]) == "no effect"
@@ -245,7 +246,7 @@ def test_the_sentence_names_the_numbers_that_certainly_moved():
     assert "frictionloss(elbow) 0.078 to 0.168 ± 0.059, b 1 to 1.250 ± 0.010" in text
     assert "damping" not in text
     assert text.endswith(
-        "no effect is missing; held-out error falls from 0.21 to 0.013, the noise floor is 0.012."
+        "No effect is missing. The held-out error falls from 0.21 to 0.013; noise alone makes 0.012."
     )
 
 
@@ -254,8 +255,8 @@ def test_an_unknown_effect_says_what_comes_nearest():
         "nearest": {"effects": ["backlash", "constant_force"], "leaves": 0.719}
     }
     assert (
-        "The nearest is backlash with constant force, which leaves 72 % of what new numbers leave"
-        in sentence(document)
+        "The nearest is backlash with constant force, which leaves 72 % of the "
+        "error that refitting leaves" in sentence(document)
     )
     assert "nearest" not in sentence(report(verdict="unknown_effect", after=0.1))
 
@@ -289,16 +290,55 @@ def test_faults_of_a_kind_are_told_once():
 def test_what_is_served_is_told_where_nothing_is_better_than_the_nominal_model():
     document = recorded(0.005)
     document["evidence"]["served"] = "nominal"
-    assert any("has its numbers" in w for w in warnings(document))
+    assert any("has its parameters" in w for w in warnings(document))
 
 
 def test_a_part_that_certainly_acts_says_what_its_law_leaves():
     text = sentence(report([friction()]) | {"incomplete": 0.393})
-    assert "it certainly acts, but its law is incomplete" in text
-    assert "39 % of the squared error of new numbers" in text
+    assert "It certainly acts, but its equation is incomplete" in text
+    assert "39 % of the squared error that refitting leaves" in text
     assert "certainly" not in sentence(report([friction()]) | {"incomplete": None})
 
 
 def test_stuck_samples_are_called_so():
     told = warnings(recorded(0.005) | {"findings": [finding("stuck", channel="q")]})
     assert told[0].startswith("Stuck samples of q: ")
+
+
+@pytest.mark.parametrize(
+    ("number", "text"),
+    [
+        (0.0, "0"),
+        (-0.0, "0"),
+        (1234.5, "1230"),
+        (123456.0, "123000"),
+        (0.00123, "0.00123"),
+        (-0.5, "−0.5"),
+        (5.37e-5, "5.37 × 10⁻⁵"),
+        (-1.34e-12, "−1.34 × 10⁻¹²"),
+        (2.5e7, "2.5 × 10⁷"),
+        (999.9, "1000"),
+    ],
+)
+def test_numbers_are_written_as_engineers_write_them(number, text):
+    assert short(number) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "text"),
+    [
+        (123456.0, 2345.0, "123500 ± 2300"),
+        (5.37e-5, 1.2e-6, "(5.37 ± 0.12) × 10⁻⁵"),
+        (0.0, 0.02, "0.000 ± 0.020"),
+    ],
+)
+def test_an_uncertainty_and_its_value_share_their_digits(value, half, text):
+    assert plus_minus(value, half) == text
+
+
+def test_an_effect_that_hardly_matters_is_not_in_the_headline():
+    slight = {**friction(0.01), "effect": "quadratic_drag"}
+    text = sentence(report([friction(), slight], numbers=0.2))
+    assert text.startswith("Coulomb friction at the joint")
+    assert "Quadratic drag acts, too, and matters less than 5 %" in text
+    assert "Quadratic drag at the joint" in sentence(report([slight], numbers=0.2))

@@ -16,7 +16,16 @@ class AsymmetricViscousFriction(Effect):
     port = Port.FORCE
     category = "structure"
     in_mjcf = "subtract difference |v| from qfrc_applied of the joint"
-    params = (Number("difference", Scale.DAMPING, 0.0, -INFINITY, INFINITY),)
+    params = (
+        Number(
+            "difference",
+            Scale.DAMPING,
+            0.0,
+            -INFINITY,
+            INFINITY,
+            called="difference of damping by direction",
+        ),
+    )
     starts = ((0.1,), (-0.1,))
 
     @staticmethod

@@ -16,7 +16,7 @@ class ClockSkew(Effect):
     port = Port.TIMING
     category = "timing"
     in_mjcf = "stamp the log with the machine's clock; (1 + skew) timestep simulates it as it is"
-    params = (Number("skew", Scale.ONE, 0.0, -0.6, 1.5),)
+    params = (Number("skew", Scale.ONE, 0.0, -0.6, 1.5, called="error of the period"),)
     starts = ((0.05,), (-0.05,))
 
     @staticmethod

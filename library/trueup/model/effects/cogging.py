@@ -21,8 +21,12 @@ class Cogging(Effect):
     )
     periodic = True
     params = (
-        Number("sine", Scale.ACCELERATION, 0.0, -INFINITY, INFINITY),
-        Number("cosine", Scale.ACCELERATION, 0.0, -INFINITY, INFINITY),
+        Number(
+            "sine", Scale.ACCELERATION, 0.0, -INFINITY, INFINITY, called="amplitude of the sine"
+        ),
+        Number(
+            "cosine", Scale.ACCELERATION, 0.0, -INFINITY, INFINITY, called="amplitude of the cosine"
+        ),
         Number("pitch", Scale.POSITION, 1.0, 0.02, 1.0),
     )
     starts = tuple(

@@ -15,7 +15,9 @@ class CubicStiffness(Effect):
     port = Port.FORCE
     category = "structure"
     in_mjcf = "subtract coefficient q^3 from qfrc_applied of the joint"
-    params = (Number("coefficient", Scale.CUBIC, 0.0, -INFINITY, INFINITY),)
+    params = (
+        Number("coefficient", Scale.CUBIC, 0.0, -INFINITY, INFINITY, called="cubic coefficient"),
+    )
     starts = ((0.05,), (-0.05,))
 
     @staticmethod

@@ -22,7 +22,7 @@ class Deadband(Effect):
         "exceeds a servo's position by, and the position added again"
     )
     of_drive = True
-    params = (Number("width", Scale.DRIVE, 0.0, 0.0, 0.8),)
+    params = (Number("width", Scale.DRIVE, 0.0, 0.0, 0.8, called="half-width"),)
     starts = tuple((0.02 * 1.5**i,) for i in range(9))
     threshold = ("width",)
 

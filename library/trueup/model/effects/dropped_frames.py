@@ -19,7 +19,7 @@ class DroppedFrames(Effect):
     category = "timing"
     in_mjcf = "hold the sensor's last value in what reads it"
     counted = True
-    params = (Number("fraction", Scale.ONE, 0.0, 0.0, 0.9),)
+    params = (Number("fraction", Scale.ONE, 0.0, 0.0, 0.9, called="fraction of frames"),)
     starts = ((0.1,),)
 
     @staticmethod

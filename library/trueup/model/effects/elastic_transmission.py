@@ -24,9 +24,9 @@ class ElasticTransmission(Effect):
         "share, and no servo asks where the link is"
     )
     params = (
-        Number("period", Scale.TIME, 0.0, 0.0, 4.0),
-        Number("ratio", Scale.ONE, 0.05, 0.0, 1.0),
-        Number("share", Scale.ONE, 0.3, 0.02, 0.9),
+        Number("period", Scale.TIME, 0.0, 0.0, 4.0, called="period of the resonance"),
+        Number("ratio", Scale.ONE, 0.05, 0.0, 1.0, called="damping ratio"),
+        Number("share", Scale.ONE, 0.3, 0.02, 0.9, called="motor's share of the inertia"),
     )
     states = ("twist", "rate")
     begins = ("zero", "zero")

@@ -23,11 +23,11 @@ class HardStop(Effect):
         "motion while it is pressed"
     )
     params = (
-        Number("limit", Scale.POSITION, 1e9, 0.2, 1.6),
+        Number("limit", Scale.POSITION, 1e9, 0.2, 1.6, called="distance from the centre"),
         Number("stiffness", Scale.STIFFNESS, 1e3, 8.0, 1e6),
         Number("damping", Scale.DAMPING, 1.0, 0.0, 1e4),
         Number("centre", Scale.POSITION, 0.0, -0.6, 0.6),
-        Number("rebound", Scale.ONE, 1.0, 0.0, 1.0),
+        Number("rebound", Scale.ONE, 1.0, 0.0, 1.0, called="damping on the way back, as a part"),
     )
     optional = ("centre",)
     falls = True

@@ -23,9 +23,9 @@ class Hysteresis(Effect):
     )
     params = (
         Number("level", Scale.ACCELERATION),
-        Number("distance", Scale.POSITION, 1.0, 0.02, 1.0),
-        Number("shape", Scale.ONE, 0.5, 0.0, 1.0),
-        Number("sharpness", Scale.ONE, 0.5, 0.0, 1.0),
+        Number("distance", Scale.POSITION, 1.0, 0.02, 1.0, called="presliding distance"),
+        Number("shape", Scale.ONE, 0.5, 0.0, 1.0, called="shape of the loop"),
+        Number("sharpness", Scale.ONE, 0.5, 0.0, 1.0, called="sharpness of the loop"),
     )
     states = ("z",)
     begins = ("zero",)

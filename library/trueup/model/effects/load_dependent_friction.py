@@ -19,9 +19,9 @@ class LoadDependentFriction(Effect):
     category = "structure"
     in_mjcf = "set dof_frictionloss from the transmitted force before each step"
     params = (
-        Number("coefficient", Scale.ONE, 0.0, 0.0, 4.0),
-        Number("extra", Scale.ONE, 0.0, 0.0, 4.0),
-        Number("speed", Scale.VELOCITY, 1.0, 0.005, 1.0),
+        Number("coefficient", Scale.ONE, 0.0, 0.0, 4.0, called="friction coefficient"),
+        Number("extra", Scale.ONE, 0.0, 0.0, 4.0, called="added coefficient near rest"),
+        Number("speed", Scale.VELOCITY, 1.0, 0.005, 1.0, called="Stribeck speed"),
     )
     optional = ("extra", "speed")
     tries = ((0.1, 0.05), (0.1, 0.2))

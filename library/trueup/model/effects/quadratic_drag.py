@@ -14,7 +14,7 @@ class QuadraticDrag(Effect):
     name = "quadratic_drag"
     port = Port.FORCE
     category = "structure"
-    params = (Number("coefficient", Scale.DRAG, 0.0, 0.0, INFINITY),)
+    params = (Number("coefficient", Scale.DRAG, 0.0, 0.0, INFINITY, called="drag coefficient"),)
     starts = ((0.2,),)
 
     @staticmethod

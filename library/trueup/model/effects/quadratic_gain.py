@@ -23,7 +23,10 @@ class QuadraticGain(Effect):
         "ctrl exceeds a servo's position by, and the position added again"
     )
     of_drive = True
-    params = (Number("odd", Scale.ONE, 0.0, -0.9, 2.0), Number("even", Scale.ONE, 0.0, -0.9, 0.9))
+    params = (
+        Number("odd", Scale.ONE, 0.0, -0.9, 2.0, called="change of gain with size"),
+        Number("even", Scale.ONE, 0.0, -0.9, 0.9, called="difference of gain by sign"),
+    )
     starts = ((0.1, 0.0), (-0.1, 0.0), (0.0, 0.1), (0.0, -0.1))
 
     @staticmethod

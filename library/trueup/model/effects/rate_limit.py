@@ -22,7 +22,7 @@ class RateLimit(Effect):
         "let ctrl change by no more than rate x timestep from step to step; a dcmotor's controller "
         "does so where neither a lag nor a constant force acts beside it"
     )
-    params = (Number("rate", Scale.RATE, INFINITY, 0.02, 1e3),)
+    params = (Number("rate", Scale.RATE, INFINITY, 0.02, 1e3, called="largest rate"),)
     states = ("y",)
     begins = ("u",)
     memory = (Scale.COMMAND,)

@@ -16,7 +16,7 @@ class SensorDrift(Effect):
     order = 3
     category = "observation"
     in_mjcf = "add rate x time to the sensor's reading"
-    params = (Number("rate", Scale.DRIFT, 0.0, -INFINITY, INFINITY),)
+    params = (Number("rate", Scale.DRIFT, 0.0, -INFINITY, INFINITY, called="drift rate"),)
     starts = ((0.02,), (-0.02,))
 
     @staticmethod

@@ -19,7 +19,10 @@ class SensorQuantization(Effect):
     category = "observation"
     in_mjcf = "round the sensor's reading to multiples of the step"
     counted = True
-    params = (Number("step", Scale.POSITION), Number("velocity_step", Scale.VELOCITY))
+    params = (
+        Number("step", Scale.POSITION, called="position step"),
+        Number("velocity_step", Scale.VELOCITY),
+    )
     starts = ((0.02, 0.0),)
     threshold = ("step", "velocity_step")
 

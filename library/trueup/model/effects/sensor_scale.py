@@ -16,7 +16,7 @@ class SensorScale(Effect):
     order = 1
     category = "observation"
     in_mjcf = "multiply the sensor's reading by 1 + error"
-    params = (Number("error", Scale.ONE, 0.0, -0.6, 1.5),)
+    params = (Number("error", Scale.ONE, 0.0, -0.6, 1.5, called="error of the scale"),)
     starts = ((0.05,), (-0.05,))
 
     @staticmethod

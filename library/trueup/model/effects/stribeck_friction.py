@@ -23,10 +23,10 @@ class StribeckFriction(Effect):
         "add it to dof_frictionloss before each step instead"
     )
     params = (
-        Number("level", Scale.ACCELERATION),
-        Number("extra", Scale.ACCELERATION),
-        Number("speed", Scale.VELOCITY, 1.0, 0.005, 1.0),
-        Number("sharpness", Scale.ONE, 0.0, 0.0, 1.0),
+        Number("level", Scale.ACCELERATION, called="Coulomb level"),
+        Number("extra", Scale.ACCELERATION, called="added level near rest"),
+        Number("speed", Scale.VELOCITY, 1.0, 0.005, 1.0, called="Stribeck speed"),
+        Number("sharpness", Scale.ONE, 0.0, 0.0, 1.0, called="sharpness of the fall"),
     )
     optional = ("sharpness",)
     contains = "coulomb_friction"

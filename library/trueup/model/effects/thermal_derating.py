@@ -21,9 +21,9 @@ class ThermalDerating(Effect):
     in_mjcf = "multiply actuator_gainprm by 1 - loss x heat as the heat builds up"
     of_drive = True
     params = (
-        Number("loss", Scale.ONE, 0.0, 0.0, 4.0),
+        Number("loss", Scale.ONE, 0.0, 0.0, 4.0, called="gain lost per heat"),
         Number("time_constant", Scale.TIME, 10.0, 0.2, 100.0),
-        Number("least", Scale.ONE, 0.05, 0.05, 1.0),
+        Number("least", Scale.ONE, 0.05, 0.05, 1.0, called="least gain"),
     )
     states = ("heat",)
     begins = ("zero",)

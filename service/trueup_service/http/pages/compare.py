@@ -9,7 +9,8 @@ import orjson
 from fastapi import Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from trueup.diagnose.summary_text import name, short
+from trueup.diagnose.number_text import short
+from trueup.diagnose.summary_text import name
 from trueup_pages.diagnosis import recordings_of
 from trueup_service.actions import find
 from trueup_service.actor_context import ActorContext
