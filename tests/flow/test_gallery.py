@@ -13,12 +13,12 @@ EXAMPLES = ROOT / "examples"
 NOTEBOOKS = sorted((EXAMPLES / "gallery").glob("*.ipynb"))
 # what a notebook's answer begins with: its figures may differ by a processor's rounding
 ANSWERS = {
-    "1": "asymmetric viscous friction at the carriage",
+    "1": "Coulomb friction at the carriage",
     "2": "Rate limit at the joint",
     "3": "Coulomb friction at shoulder",
     "4": "Coulomb friction at the shoulder_pan",
     "5": "Actuator delay at the joint",
-    "6": "magnetic saturation at the joint",
+    "6": "Magnetic saturation at the joint",
 }
 
 

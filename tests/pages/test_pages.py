@@ -226,7 +226,10 @@ def test_from_all_plants_to_what_a_diagnosis_says_by_keyboard_alone(seat, pages,
     seat.press("Enter")
     seat.page.wait_for_url(running.url + pages["diagnosis"])
     before, after = (f"{known['gap'][key]:.3g}" for key in ("before", "after"))
-    expect(seat.page.locator("h1")).to_contain_text(
+    expect(seat.page.locator("h1")).to_contain_text("Coulomb friction")
+    table = seat.page.get_by_role("region", name="answer", exact=True)
+    expect(table.locator("tbody tr").first).to_contain_text("±")
+    expect(seat.page.locator(".sentence")).to_contain_text(
         f"held-out error falls from {before} to {after}"
     )
     seat.tab_to("layer")

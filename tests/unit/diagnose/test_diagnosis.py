@@ -144,8 +144,8 @@ def test_nominal_numbers_that_hold_are_told_from_the_steps_they_are_integrated_o
     assert part > 0.95
     assert numbers["share"] < 0.01
     assert sentence(found.document).startswith(
-        "No effect is missing and no number has to change; the integration scheme and the filtered "
-        f"start of this diagnosis explain {percent(part)} of the gap; held-out error falls from "
+        "No effect is missing and no parameter has to change. The integration scheme and the "
+        f"filtered start of this diagnosis close {percent(part)} of the gap. The held-out error "
     )
 
 

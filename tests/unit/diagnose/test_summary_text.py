@@ -65,7 +65,7 @@ def test_an_effect_is_told_with_its_level_its_part_and_the_errors():
 def test_new_numbers_come_first_where_they_explain_most():
     told = sentence(report([friction()]))
     assert told.startswith(
-        "Refitting the nominal parameters closes 68 % of the gap. Coulomb friction at the joint, level"
+        "Refitting the nominal parameters closes 68 % of the gap. Coulomb friction at the joint, "
     )
 
 
@@ -246,7 +246,8 @@ def test_the_sentence_names_the_numbers_that_certainly_moved():
     assert "frictionloss(elbow) 0.078 to 0.168 ± 0.059, b 1 to 1.250 ± 0.010" in text
     assert "damping" not in text
     assert text.endswith(
-        "No effect is missing. The held-out error falls from 0.21 to 0.013; noise alone makes 0.012."
+        "No effect is missing. The held-out error falls from 0.21 to 0.013; noise alone makes "
+        "0.012."
     )
 
 
