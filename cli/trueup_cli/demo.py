@@ -63,7 +63,7 @@ class Case:
 
 def demo(case: Path | None = None, *, work: Path = DEMO) -> None:
     """Register a plant, upload recordings, fit candidates and diagnose, gate, promote, predict,
-    roll back, and show the audit trail.
+    roll back, promote again, and show the audit trail.
 
     Parameters
     ----------
@@ -88,6 +88,7 @@ def demo(case: Path | None = None, *, work: Path = DEMO) -> None:
         else:
             _promote_and_predict(client, shown, best)
             _roll_back(client, shown)
+            _promote_again(client, shown, best)
         _audit(client)
     say(
         "\n[dim]done in {:.0f} s; storage, model and picture are in {}[/]",
@@ -288,8 +289,16 @@ def _roll_back(client: Client, case: Case) -> None:
     show_serving(list(client.history(case.name)), as_json_=False)
 
 
+def _promote_again(client: Client, case: Case, decision: Decision) -> None:
+    _heading(8, "Promote it again: a decision holds once, so it is judged against what serves now")
+    request = {"kind": "gate", "candidate": decision["candidate"], "gate": decision["gate"]}
+    judged = result_of(run_job(client, case.name, request, "judge"))["decision"]
+    client.promote(case.name, judged, client.serving(case.name).generation)
+    show_serving([client.serving(case.name)], as_json_=False)
+
+
 def _audit(client: Client) -> None:
-    _heading(8, "The audit trail, and its decisions recomputed from the recorded bytes")
+    _heading(9, "The audit trail, and its decisions recomputed from the recorded bytes")
     entries = list(client.audit())
     table(
         "",
