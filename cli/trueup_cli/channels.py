@@ -17,11 +17,14 @@ from trueup_cli.options import (
     connect_witnessed,
     read_json,
 )
+from trueup_cli.registry import resolve_artifact
 from trueup_cli.show import as_json, moment, say, table
 from trueup_client import Client, Problem
 from trueup_client.records import ChannelPosition
 
-Artifact = Annotated[str | None, Parameter(help="Digest; default: what serves")]
+Artifact = Annotated[
+    str | None, Parameter(help="Digest, or its first digits; default: what serves")
+]
 
 
 def evidence(
@@ -36,7 +39,7 @@ def evidence(
 ) -> None:
     """List the evidence on a version by stage (MIL, SIL, PIL, HIL, physical), or add to it."""
     client = connect(url)
-    digest = artifact or client.serving(plant).artifact
+    digest = _artifact(client, plant, artifact)
     if add is not None:
         document = read_json(add, BadEvidence)
         digest = document.get("artifact", digest) if artifact is None else digest
@@ -122,7 +125,7 @@ def release(
     position = client.move_channel(
         plant,
         channel,
-        artifact or client.serving(plant).artifact,
+        _artifact(client, plant, artifact),
         before["generation"] if before else 0,
     )
     if as_json_:
@@ -135,6 +138,13 @@ def release(
             plant,
             position["generation"],
         )
+
+
+def _artifact(client: Client, plant: str, name: str | None) -> str:
+    """Returns the digest of a version, by default of the one that serves. Raises NoSuchDigest."""
+    if name is None:
+        return client.serving(plant).artifact
+    return resolve_artifact(client, plant, name)
 
 
 def _position(client: Client, plant: str, channel: str) -> ChannelPosition | None:

@@ -18,8 +18,13 @@ def resolve_digest(
     """
     if is_digest(prefix):
         return prefix
-    digests = sorted({str(record["digest"]) for record in records})
-    matching = [digest for digest in digests if digest.startswith(prefix)]
+    return resolve(prefix, (str(record["digest"]) for record in records), noun, command)
+
+
+def resolve(prefix: str, names: Iterable[str], noun: str, command: str) -> str:
+    """Returns the one of some digests or ids that begins with `prefix`. Raises NoSuchDigest if
+    there is none, or several."""
+    matching = sorted({name for name in names if name.startswith(prefix)})
     if len(matching) == 1:
         return matching[0]
     problem = f"{len(matching)} {noun}s begin" if matching else f"no {noun} begins"

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from trueup.errors import NoSuchDigest
+from trueup_cli.digests import resolve
 from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect
 from trueup_cli.show import as_json, moment, say, table
 from trueup_client import Client
@@ -100,11 +100,7 @@ def _job_named(client: Client, plant: str | None, prefix: str) -> str:
         return prefix
     listed: list[str] = [q["id"] for q in client.queue()]
     listed += [j["id"] for j in islice(client.jobs(plant), SOUGHT)] if plant is not None else []
-    matching = sorted({job for job in listed if job.startswith(prefix)})
-    if len(matching) == 1:
-        return matching[0]
-    problem = f"{len(matching)} jobs begin" if matching else "no job begins"
-    raise NoSuchDigest(f"{problem} with {prefix!r}", hint="`trueup jobs PLANT` lists them.")
+    return resolve(prefix, listed, "job", f"trueup jobs {plant or 'PLANT'}")
 
 
 def _show(job: Job) -> None:

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from trueup.gate.policy import BadPolicy
+from trueup_cli.digests import resolve
 from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect, read_json
 from trueup_cli.registry import result_of, run_job
 from trueup_cli.show import as_json, moment, say, table
@@ -161,7 +162,9 @@ def _row(seen: dict[str, Any], names: list[str]) -> tuple[object, ...]:
 def alarms(
     plant: PlantName,
     *,
-    close: Annotated[str | None, Parameter(help="Id of an alarm to close")] = None,
+    close: Annotated[
+        str | None, Parameter(help="Id of an alarm to close, or its first digits")
+    ] = None,
     because: Annotated[str | None, Parameter(help="Reason for closing it")] = None,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
@@ -169,7 +172,7 @@ def alarms(
     """List a plant's alarms, or close one."""
     client: Client = connect(url)
     listed = (
-        [client.close_alarm(plant, close, because or "no reason was given")]
+        [client.close_alarm(plant, _alarm(client, plant, close), because or "no reason was given")]
         if close is not None
         else list(client.alarms(plant))
     )
@@ -180,6 +183,12 @@ def alarms(
         show_alarm(alarm)
     if not listed:
         say("no alarms")
+
+
+def _alarm(client: Client, plant: str, prefix: str) -> str:
+    """Returns the id of an alarm by its first digits. Raises NoSuchDigest."""
+    ids = (str(alarm["id"]) for alarm in client.alarms(plant))
+    return resolve(prefix, ids, "alarm", f"trueup alarms {plant}")
 
 
 def policy(

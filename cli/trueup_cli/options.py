@@ -36,7 +36,8 @@ MeasuredParameters = Annotated[
     ),
 ]
 Json = Annotated[bool, Parameter(name="--json", negative=(), help="Print JSON")]
-DEFAULT_URL = "http://127.0.0.1:8321"
+# of a service on this machine, at the port that it, too, reads from the environment
+DEFAULT_URL = f"http://127.0.0.1:{os.environ.get('TRUEUP_PORT', '8321')}"
 # what a service may call a plant: no other name is passed to a shell
 NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,62}")
 MOST_COMPLETED, COMPLETION_LIMIT_S = 500, 1.0

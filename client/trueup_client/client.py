@@ -15,7 +15,7 @@ from trueup_client.calls.serving import ServingCalls
 from trueup_client.calls.webhooks import WebhookCalls
 from trueup_client.connection import Connection
 
-DEFAULT_URL = "http://127.0.0.1:8321"
+DEFAULT_PORT = "8321"
 
 
 class Client(
@@ -31,9 +31,10 @@ class Client(
 ):
     """Talks to one service. Not for several threads at once: give each its own.
 
-    `url` is its address (default: TRUEUP_URL, else this machine's), `token` says who asks (default:
-    TRUEUP_TOKEN), and `actor` stands in the audit log behind the token's name. Every call raises
-    Problem if the service refuses, and Unreachable if it does not answer.
+    `url` is its address (default: TRUEUP_URL, else this machine's at TRUEUP_PORT, else at 8321),
+    `token` says who asks (default: TRUEUP_TOKEN), and `actor` stands in the audit log behind the
+    token's name. Every call raises Problem if the service refuses, and Unreachable if it does not
+    answer.
     """
 
     def __init__(
@@ -43,7 +44,8 @@ class Client(
         timeout_s: float = 120.0,
         token: str | None = None,
     ) -> None:
-        address = url or os.environ.get("TRUEUP_URL") or DEFAULT_URL
+        here = f"http://127.0.0.1:{os.environ.get('TRUEUP_PORT', DEFAULT_PORT)}"
+        address = url or os.environ.get("TRUEUP_URL") or here
         self._connection = Connection(
             address, actor, timeout_s, token or os.environ.get("TRUEUP_TOKEN")
         )

@@ -29,10 +29,18 @@ LISTED = 200  # versions to choose from, the newest
 
 @router.get("/plants/{plant}/compare")
 def compare(
-    request: Request, parts: RequestParts, plant: PlantName, first: Version, second: Version
+    request: Request,
+    parts: RequestParts,
+    plant: PlantName,
+    first: Version | None = None,
+    second: Version | None = None,
 ) -> Response:
-    """What changed, and the result of the newest comparison, if there is one."""
+    """What changed, and the result of the newest comparison, if there is one; by default of what
+    serves and the newest other version."""
     with reading(parts.database) as tx:
+        serving, newest = find.serving(tx, plant).version, tx.artifacts.latest_version(plant)
+        first = first or serving
+        second = second or (newest if newest != first else max(newest - 1, 1))
         both = [find.version(tx, plant, v) for v in (first, second)]
         asked = [a.digest for a in both]
         job = tx.jobs.last_matching(
