@@ -2,6 +2,7 @@
 names that are hostile."""
 
 import json
+import math
 import re
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from mcap.reader import make_reader
 from playwright.sync_api import expect
 
 from tests.conftest import EXAMPLE
+from tests.http.test_http import request
 from tests.support.browser import A_MINUTE, Seat, browsing
 from tests.support.case import write_friction_case
 from tests.support.made import episode_bytes, identified, plant_document
@@ -91,7 +93,7 @@ def known(running, workers, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def pages(known):
+def pages(running, known):
     return {
         "plants": "/",
         "plant": HOME,
@@ -102,6 +104,12 @@ def pages(known):
         "compare": f"{HOME}/compare?first=1&second=3",
         "rollback": f"{HOME}/rollback",
         "audit": "/audit",
+        "new": "/new",
+        "draft": f"/new/{draft(running)}",
+        "queue": "/jobs",
+        **{
+            of: f"{HOME}/{of}" for of in ("upload", "jobs", "gate", "policy", "monitor", "channels")
+        },
         "missing": "/plants/no-such-plant",
     }
 
@@ -121,6 +129,17 @@ def seat(browser, running, known, cookies):
     yield seat
     seat.context.close()
     assert seat.faults == []
+
+
+def draft(running):
+    """A draft of a plant, whose columns have hostile names."""
+    head = f'"t [s]","pos [rad]","u {HOSTILE.replace(chr(34), chr(34) * 2)}"'
+    rows = [f"{0.01 * i},{math.sin(0.05 * i)},{math.cos(0.05 * i)}" for i in range(300)]
+    body = "\n".join([head, *rows]).encode()
+    kind = {"Content_Type": "application/octet-stream"}
+    sent = request(running, "POST", "/v1/drafts?file=%3Cb%3E.csv", body, **kind)
+    assert sent[0] == 201, sent
+    return json.loads(sent[2])["digest"]
 
 
 # -- everywhere
