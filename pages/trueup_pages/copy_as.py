@@ -7,6 +7,7 @@ import shlex
 from collections.abc import Mapping
 from typing import Any
 
+DOCUMENTS = ("/gates", "/policies")  # routes that take a file of JSON
 AUTHORISED = '-H "Authorization: Bearer $TRUEUP_TOKEN"'
 
 
@@ -25,5 +26,6 @@ def rest(method: str, path: str, body: Mapping[str, Any] | None = None) -> str:
 
 
 def rest_of_file(method: str, path: str) -> str:
-    """Returns a line of a shell that sends a file to the service by curl."""
-    return f'curl -X {method} {AUTHORISED} "$TRUEUP_URL{path}" --data-binary @FILE'
+    """Returns a line of a shell that sends a file to the service by curl, JSON as JSON."""
+    sent = "--json" if path.endswith(DOCUMENTS) else "--data-binary"
+    return f'curl -X {method} {AUTHORISED} "$TRUEUP_URL{path}" {sent} @FILE'

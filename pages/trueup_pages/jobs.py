@@ -42,7 +42,8 @@ def standing(queued: Any, visible: Sequence[Any], waited_s: float) -> str:
     the reader may see, `waited_s` the time since it was submitted [s]."""
     if queued.begun_at is not None:
         takes = f"; such jobs take {about(queued.takes_s)}" if queued.takes_s is not None else ""
-        return f"Worker {queued.worker} runs it since {queued.begun_at[11:19]}{takes}."
+        since = queued.begun_at[11:19]
+        return f"Worker {queued.worker} has been running it since {since} UTC{takes}."
     if not queued.ahead:
         return (
             f"No worker has taken it for {about(waited_s).removeprefix('about ')}. `trueup work` "

@@ -3,28 +3,32 @@
 A draft is a folder on the disk of the server that received the files: the files, the episodes that
 were made of them, and the draft as JSON. It is seen by the token alone that sent the files. It is
 no record: a token has a number of drafts at once, of which the oldest goes first, and a draft that
-nobody touches goes by its age. The files are with whoever sent them.
+nobody touches goes by its age. The files are with whoever sent them. One request at a time works on
+a draft, and others are refused meanwhile.
 """
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import os
 import re
 import shutil
 import time
 import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import orjson
 
 from trueup.canonical import Json
-from trueup_service.errors import NotFound
+from trueup_service.errors import Conflict, NotFound
 
 MOST = 8  # drafts of one token: as many logs as a person looks at side by side
 NAME_CHARACTERS = 100
-DOCUMENT = "draft.json"
+DOCUMENT, LOCK = "draft.json", ".lock"
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +49,21 @@ class Drafts:
     def __init__(self, data_dir: Path) -> None:
         self._folder = data_dir / "drafts"
 
+    @contextmanager
+    def alone(self, token: str, digest: str) -> Iterator[None]:
+        """A draft, while no other request works on it. Raises Conflict."""
+        folder = self._of(token, digest)
+        folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        with folder.with_suffix(LOCK).open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise Conflict(
+                    "another request works on this draft",
+                    hint="Wait until it has ended, and look at the page again.",
+                ) from error
+            yield
+
     def receive(self, token: str, digest: str, file: Path, name: str) -> Path:
         """Take a received file into the draft of its digest. Returns where it lies then."""
         self._make_room(token, digest)
@@ -57,10 +76,16 @@ class Drafts:
 
     def received(self, token: str, digest: str) -> Path:
         """The received file of a draft. Raises NotFound."""
-        try:
-            return next((self._of(token, digest) / "received").iterdir())
-        except (FileNotFoundError, StopIteration) as error:
-            raise _not_here(digest) from error
+        folder = self._of(token, digest) / "received"
+        # beside the file lies what an archive was unpacked to, where a process was killed
+        files = [p for p in folder.iterdir() if p.is_file()] if folder.is_dir() else []
+        if not files:
+            raise _not_here(digest)
+        return files[0]
+
+    def holds(self, token: str, digest: str) -> bool:
+        """Whether there is a draft, made whole."""
+        return (self._of(token, digest) / DOCUMENT).is_file()
 
     def new_folder(self, token: str, digest: str) -> Path:
         """A folder of a draft, for the episodes that are made of its files."""
@@ -96,17 +121,25 @@ class Drafts:
     def remove_old(self, older_than_s: float) -> None:
         """Delete drafts that nobody touched for so long [s]."""
         for folder in self._folder.glob("*/*"):
-            if time.time() - _touched(folder) > older_than_s:
-                shutil.rmtree(folder, ignore_errors=True)
+            if folder.is_dir() and time.time() - _touched(folder) > older_than_s:
+                self._remove(folder)
 
     def _of(self, token: str, digest: str) -> Path:
         return self._folder / hashlib.sha256(token.encode()).hexdigest() / digest
 
     def _make_room(self, token: str, digest: str) -> None:
-        folders = sorted(self._of(token, digest).parent.glob("*"), key=_touched)
-        others = [folder for folder in folders if folder.name != digest]
+        folders = self._of(token, digest).parent.glob("*")
+        others = [f for f in sorted(folders, key=_touched) if f.is_dir() and f.name != digest]
         for folder in others[: max(len(others) - MOST + 1, 0)]:
+            self._remove(folder)
+
+    def _remove(self, folder: Path) -> None:
+        """Delete the folder of a draft, unless a request works on it."""
+        lock = folder.with_suffix(LOCK)
+        with suppress(BlockingIOError), lock.open("w") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             shutil.rmtree(folder, ignore_errors=True)
+            lock.unlink(missing_ok=True)
 
 
 def _not_here(digest: str) -> NotFound:
@@ -119,9 +152,15 @@ def _not_here(digest: str) -> NotFound:
 
 
 def file_name(text: str) -> str:
-    """A name of a file that is safe in a folder, made of any text."""
-    last = re.split(r"[/\\]", text)[-1]
-    return re.sub(r"[^A-Za-z0-9._-]+", "-", last).strip(".-")[-NAME_CHARACTERS:] or "recording"
+    """A name of a file that is safe in a folder, made of any text; its end stays, for it says of
+    which format the file is."""
+    stem, dot, suffix = re.split(r"[/\\]", text)[-1].rpartition(".")
+    stem, suffix = (_plain(part) for part in ((stem, suffix) if dot else (suffix, "")))
+    return f"{stem or 'recording'}.{suffix}" if suffix else stem or "recording"
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", text).strip(".-")[-NAME_CHARACTERS // 2 :].strip(".-")
 
 
 def _touched(folder: Path) -> float:

@@ -16,7 +16,7 @@ from tests.support.made import plant_document
 from tests.support.service import ADMIN, ROOT
 from trueup_client import Client
 from trueup_service.drafts import MOST, Drafts, file_name
-from trueup_service.errors import NotFound
+from trueup_service.errors import Conflict, NotFound
 
 ARM = ROOT / "examples" / "so101"
 
@@ -88,7 +88,9 @@ def test_a_table_proposes_a_plant_that_is_registered_with_its_episodes_and_a_gat
     assert set(listed) == {e["digest"] for e in made["episodes"]}
     recordings = {e["summary"]["conditions"]["recording"] for e in listed.values()}
     assert recordings == {f"{name}.csv"}
-    send(service, draft, "register", status=404)  # it is a plant now
+    again = send(service, draft, "register", {"declare_gate": True})  # as where an answer was lost
+    assert again["plant"] == made["plant"]
+    assert again["episodes"] == made["episodes"]
 
 
 def test_what_was_found_is_corrected_before_it_is_registered(service, client):
@@ -173,6 +175,83 @@ def test_a_model_reads_no_file_that_was_not_sent(service, outside):
     refused = propose(service, archive({**files, "so101.xml": model}), "arm.zip", status=422)
     assert "outside of what was received" in refused["detail"]
     assert "root:" not in json.dumps(refused)
+
+
+def test_what_a_model_includes_reads_no_file_that_was_not_sent(service, tmp_path):
+    secret = tmp_path / "secret.xml"
+    secret.write_text("<mujoco/>")
+    files = folder_of(ARM, without=("plant.json", "README.md", "gate.json", "convert.py"))
+    model = files["so101.xml"].decode()
+    for included, content in (
+        ("b.xml", f'<mujoco><include file="{secret}"/></mujoco>'),
+        ("b.txt", f'<mujoco><include file="{secret}"/></mujoco>'),
+        ("b.xml", '<mujoco><asset><texture fileright="/etc/passwd"/></asset></mujoco>'),
+        ("b.xml", '<mujoco><compiler meshdir="../.."/></mujoco>'),
+    ):
+        text = model.replace("<worldbody>", f'<include file="{included}"/><worldbody>', 1)
+        sent = archive({**files, "so101.xml": text, included: content})
+        refused = propose(service, sent, "arm.zip", status=422)
+        assert refused["code"] == "bad-plant", refused
+        assert "outside of what was received" in refused["detail"] or "no .xml" in refused["detail"]
+
+
+@pytest.mark.parametrize("name", ["/etc/passwd", "../x.xml", "x" * 5000 + ".xml", "plant.json"])
+def test_a_plant_json_names_a_model_of_its_own_folder_alone(service, name):
+    document = json.loads((ARM / "plant.json").read_text())
+    document["nominal"]["mjcf"] = name
+    refused = propose(service, json.dumps(document).encode(), "plant.json", status=422)
+    assert refused["facts"]["field"] == "nominal.mjcf"
+    assert "mjcf must name" in refused["detail"]
+
+
+def test_a_robot_comes_with_its_meshes(service):
+    files = folder_of(ARM, without=("plant.json", "README.md", "gate.json", "convert.py"))
+    mesh = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    asset = '<asset><mesh name="m" file="meshes/m.obj"/></asset><worldbody>'
+    model = files["so101.xml"].decode().replace("<worldbody>", asset, 1)
+    name = unique("mesh")
+    sent = archive({**files, "so101.xml": model, "meshes/m.obj": mesh})
+    draft = propose(service, sent, f"{name}.zip")
+    assert draft["plant"]["nominal"]["mjcf"] == "so101.xml"
+    send(service, draft, "register")
+
+
+def test_what_was_sent_and_is_not_used_is_listed(service):
+    files = {"a.csv": table(), "deeper/b.csv": table(seed=2), "gate.json": "{}", "README.md": "x"}
+    assert propose(service, archive(files), "mixed.zip")["unused"] == ["deeper/b.csv", "gate.json"]
+
+
+def test_several_models_are_refused_and_an_included_one_is_none(service):
+    files = folder_of(ARM, without=("plant.json", "README.md", "gate.json", "convert.py"))
+    refused = propose(service, archive({**files, "b.xml": "<mujoco/>"}), "arm.zip", status=422)
+    assert "several models" in refused["detail"]
+    text = files["so101.xml"].decode().replace("<worldbody>", '<include file="b.xml"/><worldbody>')
+    included = '<mujoco><option timestep="0.002"/></mujoco>'
+    sent = archive({**files, "so101.xml": text, "b.xml": included})
+    assert propose(service, sent, "arm.zip")["plant"]["nominal"]["mjcf"] == "so101.xml"
+
+
+def test_one_request_at_a_time_works_on_a_draft(tmp_path):
+    drafts = Drafts(tmp_path)
+    with drafts.alone("somebody", "0" * 64):
+        with pytest.raises(Conflict), drafts.alone("somebody", "0" * 64):
+            pass
+        with drafts.alone("somebody else", "0" * 64):
+            pass
+    with drafts.alone("somebody", "0" * 64):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("name", "kept"),
+    [
+        ("日本語.csv", "recording.csv"),
+        ("机器人.json", "recording.json"),
+        ("a b.tar.gz", "a-b.tar.gz"),
+    ],
+)
+def test_a_name_keeps_its_end(name, kept):
+    assert file_name(name) == kept
 
 
 def test_an_archive_that_leads_out_is_refused(service):

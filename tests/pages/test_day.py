@@ -302,7 +302,7 @@ def test_a_promotion_by_two_is_approved_by_one_and_made_by_the_other(
     other.go(f"/plants/{plant}/decisions/{digest}")
     other.page.get_by_label("Reason").fill("looked at the run on the bench")
     other.page.get_by_role("button", name="Approve", exact=True).click()
-    expect(other.page.locator("main")).to_contain_text("1 has so far")
+    expect(other.page.locator("main")).to_contain_text("Approvals so far: 1")
     other.context.close()
     seat.go(f"/plants/{plant}/decisions/{digest}")
     seat.page.get_by_role("button", name="Promote version 2").click()

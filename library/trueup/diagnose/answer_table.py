@@ -8,8 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from trueup.diagnose.number_text import percent, plus_minus, short, unit
+from trueup.diagnose.number_text import percent, short, unit, with_interval
 from trueup.diagnose.summary_text import (
+    NEAREST,
     NEW_NUMBERS,
     SAME_NUMBERS,
     UNEXPLAINED,
@@ -35,6 +36,8 @@ SMALL, LARGE = 0.05, 0.3
 MOST_PARAMETERS = 3  # refitted ones that a row names
 MOST_CHANNELS = 2  # whose errors a sentence names
 WORTH_A_LINE = 0.01  # of the gap, left unexplained
+COUNTED = ("dropped_frames", "sensor_quantization")  # effects that are seen in the samples
+PLAINLY = 1.1  # times the answer's error, where a report has no interval of the difference
 SYMBOLS = (
     ("<=", "≤"),
     ("+-", "±"),
@@ -51,7 +54,7 @@ SYMBOLS = (
 @dataclass(frozen=True, slots=True)
 class Row:
     """One line of the answer: `sizes` are parameters with their intervals; `is_slight` says that it
-    hardly matters."""
+    stands back, `note` why."""
 
     what: str
     where: str
@@ -59,6 +62,7 @@ class Row:
     share: str
     sure: str
     is_slight: bool = False
+    note: str = ""
 
 
 def title(report: Mapping[str, Any]) -> str:
@@ -94,6 +98,10 @@ def rows(report: Mapping[str, Any]) -> list[Row]:
         table.append((share, _refitted_row(report, share)))
     if (share := parts.get(SAME_NUMBERS, 0.0)) >= EVIDENCE.worth_naming:
         table.append((share, Row("integration and start", "simulation", (), percent(share), "")))
+    nearest = report.get("nearest")
+    if nearest and nearest["effects"] and parts.get(NEAREST):
+        what = f"nearest: {composition(nearest['effects'])}"
+        table.append((parts[NEAREST], Row(what, "", (), percent(parts[NEAREST]), "not enough")))
     table.sort(key=lambda r: -r[0])
     last = [_effect_row(report, e, parts, is_slight=True) for e in slight]
     if (left := parts.get(UNEXPLAINED, 0.0)) >= WORTH_A_LINE:
@@ -124,15 +132,13 @@ def _effect_row(
         percent(share) if share else "–",
         _sure(report, entry),
         is_slight,
+        "hardly matters" if is_slight else "",
     )
 
 
 def _size(number: Mapping[str, Any]) -> str:
-    low, high = number["ci95"]
-    if low is None or high is None:
-        return f"{short(number['value'])} {unit(number.get('unit', ''))}".rstrip()
-    size = plus_minus(number["value"], (high - low) / 2.0)
-    return f"{size} {unit(number.get('unit', ''))}".rstrip()
+    measure = unit(number.get("unit", ""))
+    return f"{with_interval(number['value'], number['ci95'])} {measure}".rstrip()
 
 
 def _moved(report: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
@@ -140,7 +146,7 @@ def _moved(report: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
     moved = [
         (abs(p["value"] - p["nominal"]) / max(abs(p["nominal"]), 1e-12), parameter, p)
         for parameter, p in report["parameters"].items()
-        if not p["ci95"][0] <= p["nominal"] <= p["ci95"][1]
+        if None not in p["ci95"] and not p["ci95"][0] <= p["nominal"] <= p["ci95"][1]
     ]
     return [(parameter, p) for _, parameter, p in sorted(moved, key=lambda m: -m[0])]
 
@@ -163,7 +169,7 @@ def _sure(report: Mapping[str, Any], entry: Mapping[str, Any]) -> str:
     others = [o for o in report["indistinguishable"] if here not in map(_key, o)]
     if others:
         return f"not told from {', or '.join(composition(o) for o in others)}"
-    if not entry["share"]:
+    if entry["effect"] in COUNTED:
         return "counted in the samples"
     hypotheses = report["evidence"]["hypotheses"]
     least = next((h["validation"] for h in hypotheses if h.get("answer")), None)
@@ -175,17 +181,21 @@ def _sure(report: Mapping[str, Any], entry: Mapping[str, Any]) -> str:
         and here not in map(_key, h["effects"])
     ]
     if not least or not without:
-        return "certain: no explanation without it comes near"
+        return "no explanation without it was compared"
     nearest = min(without, key=lambda h: float(h["validation"]))
     ratio = math.sqrt(nearest["validation"] / least)
+    named = composition(nearest["effects"], "refitting alone")
     if ratio <= 1.0:
-        return f"likely: {composition(nearest['effects'])} errs no more, with more parameters"
-    return f"certain: the best explanation without it errs {_times(ratio)}"
+        more = len(nearest["effects"]) > len(report["effects"])
+        return f"likely: {named} errs no more{', with more effects' if more else ''}"
+    worse = (nearest.get("worse_ci95") or [None])[0]
+    is_certain = worse > 0.0 if worse is not None else ratio >= PLAINLY
+    return f"{'certain' if is_certain else 'likely'}: {named}, the next best, errs {_times(ratio)}"
 
 
 def _times(ratio: float) -> str:
     """How much larger an error is, in words."""
-    return f"{100.0 * (ratio - 1.0):.0f} % more" if ratio < 2.0 else f"{short(ratio)} times as much"  # noqa: PLR2004
+    return f"{percent(ratio - 1.0)} more" if ratio < 2.0 else f"{short(ratio)} times as much"  # noqa: PLR2004
 
 
 def _key(effect: Any) -> tuple[str, str | None]:
@@ -197,7 +207,7 @@ def left_over(report: Mapping[str, Any]) -> str:
     that matters; empty where nothing but noise is left."""
     gap = report["gap"]
     channels: Mapping[str, Mapping[str, Any]] = gap.get("channels") or {}
-    if not is_above_floor(gap):
+    if not gap["floor"] or not is_above_floor(gap):
         return ""
     if not channels or not all("deviation" in c for c in channels.values()):
         return (

@@ -5,13 +5,15 @@ files, among them a plant.json, or an MJCF or URDF with its meshes.
 
 - A plant.json is taken as it is, and recordings beside it become its episodes.
 - Without one, a plant.json is made of the recordings, as `trueup init` does.
-- A model names no file outside of what was received.
+- No received model names a file outside of what was received, nor do the files that it includes.
+- What was received and is not used is listed.
 - Where names do not tell which signals are meant, the draft says what is missing and which signals
   there are, and nothing is made. So too where no model can be identified from them.
 """
 
 from __future__ import annotations
 
+import shutil
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -30,7 +32,6 @@ from trueup.diagnose.make_case import (
     MadeCase,
     find_mapping,
     make_case,
-    model_beside,
     plain_name,
 )
 from trueup.doctor.finding import documents
@@ -46,8 +47,13 @@ from trueup.recording.format import Run, holds_recordings, open_runs
 from trueup.recording.mapping import SignalMapping, read_mapping
 from trueup.recording.recording import Clock
 
+GATE_FILE = "gate.json"
 PREVIEW_SAMPLES = 400  # of a signal, enough for a picture of 800 pixels
-FILE_ATTRIBUTES = ("file", "filename", "meshdir", "texturedir", "assetdir")
+MOST_NAME = 255  # characters of a file's name
+MOST_UNUSED = 20  # files that a draft lists
+NESTED = ("include", "model")  # elements of a model that name another model
+# what lies beside recordings and is none
+BESIDE = (".xml", ".mjcf", ".urdf", ".json", ".md", ".txt", ".stl", ".obj", ".msh", ".dae", ".png")
 MOST_SIGNALS = 500  # that a person chooses from
 
 
@@ -77,12 +83,16 @@ def draft_of(received: Path, out: Path, wishes: Wishes, limits: Limits = LIMITS)
     NotInstalled.
     """
     with unpacked(received, limits) as opened:
+        if opened.is_dir():
+            _require_enclosed(opened)
         document = _declared_plant(opened, wishes)
         if document is not None and not _has_recordings(opened):
             Plant.from_document(document).require_known_envelope()
             return {**_nothing(opened, wishes), "plant": document}
         model = _model(opened)
         runs = open_runs(opened, limits)
+        if model is not None:  # which names its meshes from where it lies
+            shutil.copytree(opened, out, ignore=_recordings_in)
         declared = Declared(
             wishes.name or received.stem,
             wishes.family,
@@ -94,7 +104,8 @@ def draft_of(received: Path, out: Path, wishes: Wishes, limits: Limits = LIMITS)
         )
         try:
             mapping = find_mapping(runs, declared)
-            return _made(make_case(runs, out, mapping, declared), runs, wishes)
+            made = make_case(runs, out, mapping, declared)
+            return {**_made(made, runs, wishes), "unused": _unused(opened, runs)}
         except (BadMapping, NotIdentifiable) as error:  # which other signals may mend
             return {**_nothing(opened, wishes), **_choice(runs), "problem": _problem(error)}
 
@@ -113,9 +124,7 @@ def _declared_plant(opened: Path, wishes: Wishes) -> dict[str, Any] | None:
     else:
         return None
     folder = opened if opened.is_dir() else opened.parent
-    nominal = document.get("nominal") if isinstance(document, dict) else None
-    if isinstance(nominal, dict) and isinstance(nominal.get("mjcf"), str):
-        _require_enclosed(folder / nominal["mjcf"], folder)
+    _require_own_model(document)
     document = resolved(document, folder)
     if wishes.name is not None and isinstance(document, dict):
         document = {**document, "name": plain_name(wishes.name)}
@@ -129,7 +138,8 @@ def _has_recordings(opened: Path) -> bool:
 
 
 def _model(opened: Path) -> Path | None:
-    """The MJCF or URDF among the received files. Raises BadPlant where it is alone."""
+    """The MJCF or URDF among the received files, that no other one includes. Raises BadPlant where
+    it is alone, or there are several."""
     if opened.is_file():
         if opened.suffix in MODEL_SUFFIXES:
             raise BadPlant(
@@ -138,31 +148,95 @@ def _model(opened: Path) -> Path | None:
                 hint="Send it together with a recording of the robot, or with its plant.json.",
             )
         return None
-    model = model_beside(opened)
-    if model is not None:
-        _require_enclosed(model, opened)
-    return model
+    models = [p for p in sorted(opened.iterdir()) if p.suffix in MODEL_SUFFIXES]
+    included = {
+        PurePosixPath(e.get("file", "")).name
+        for p in models
+        for e in _elements(p)
+        if e.tag in NESTED
+    }
+    models = [p for p in models if p.name not in included]
+    if len(models) > 1:
+        raise BadPlant(
+            f"there are several models: {', '.join(p.name for p in models)}",
+            field="nominal.mjcf",
+            hint="Send one, or a plant.json that names it.",
+        )
+    return models[0] if models else None
 
 
-def _require_enclosed(model: Path, folder: Path) -> None:
-    """Raises BadPlant where a model names a file that was not received with it."""
-    if not model.is_file():
-        return  # the reader of plant.json says so
+def _require_own_model(document: Any) -> None:
+    """Raises BadPlant where a plant.json names a model by a path that leads out of the folder, or
+    that is no model's."""
+    nominal = document.get("nominal") if isinstance(document, dict) else None
+    name = nominal.get("mjcf") if isinstance(nominal, dict) else None
+    if not isinstance(name, str):
+        return
+    if len(name) > MOST_NAME or not _stays_inside(name) or Path(name).suffix not in MODEL_SUFFIXES:
+        raise BadPlant(
+            "mjcf must name an .xml, .mjcf or .urdf file in the folder of plant.json",
+            field="nominal.mjcf",
+        )
+
+
+def _require_enclosed(folder: Path) -> None:
+    """Raises BadPlant where a received model names a file that lies outside of what was received,
+    or another model that is not looked at here."""
+    for model in sorted(p for p in folder.rglob("*") if p.suffix in MODEL_SUFFIXES):
+        for element in _elements(model):
+            for attribute, value in element.attrib.items():
+                if not attribute.lower().startswith("file") and not attribute.endswith("dir"):
+                    continue
+                inside = _stays_inside(value)
+                hidden = element.tag in NESTED and Path(value).suffix not in MODEL_SUFFIXES
+                if not inside or hidden:
+                    raise BadPlant(
+                        f"{model.name} names {value!r}, which lies outside of what was received"
+                        if not inside
+                        else f"{model.name} includes {value!r}, which is no .xml, .mjcf or .urdf",
+                        field="nominal.mjcf",
+                        hint="Send the files that a model names with it, and name them from there.",
+                    )
+
+
+def _stays_inside(name: str) -> bool:
+    """Whether a path goes neither up nor to the root."""
+    path = PurePosixPath(name.replace("\\", "/"))
+    return not path.is_absolute() and ".." not in path.parts and "\0" not in name
+
+
+def _elements(model: Path) -> list[ET.Element]:
+    """The elements of an XML file, which is read in a bounded process. Raises BadPlant."""
     try:
-        elements = list(ET.parse(model).iter())
+        return list(ET.parse(model).iter())
     except ET.ParseError as error:
         raise BadPlant(f"{model.name} is not XML: {error}", field="nominal.mjcf") from error
-    for element in elements:
-        for name in FILE_ATTRIBUTES:
-            path = PurePosixPath(element.get(name, "").replace("\\", "/"))
-            inside = (model.parent / path).resolve().is_relative_to(folder.resolve())
-            if path.is_absolute() or not inside:
-                raise BadPlant(
-                    f"{model.name} names {element.get(name)!r}, which lies outside of what was "
-                    "received",
-                    field="nominal.mjcf",
-                    hint="Send the files that the model names with it, and name them from there.",
-                )
+
+
+def _recordings_in(folder: str, names: list[str]) -> list[str]:
+    """Of the names in a folder those that are no part of a model, for `copytree`."""
+    return [
+        name
+        for name in names
+        if (Path(folder) / name).is_file() and not name.lower().endswith(BESIDE)
+    ]
+
+
+def _unused(opened: Path, runs: Sequence[Run]) -> list[Json]:
+    """The received files that the draft does not use."""
+    if opened.is_file():
+        return []
+    read = {run.path for run in runs}
+    if opened in read:
+        return []
+    files = (p for p in sorted(opened.rglob("*")) if p.is_file() and p not in read)
+    unused = [
+        str(p.relative_to(opened))
+        for p in files
+        if not any(folder in read for folder in p.parents)
+        and (not p.name.lower().endswith(BESIDE) or p.name == GATE_FILE)
+    ]
+    return [*unused[:MOST_UNUSED]]
 
 
 def _asked(wishes: Wishes) -> Asked:
@@ -185,6 +259,7 @@ def _nothing(opened: Path, wishes: Wishes) -> dict[str, Json]:
         "is_role_declared": False,
         "preview": None,
         "problem": None,
+        "unused": [],
     }
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 DIGITS = 2  # of an uncertainty that are worth writing
 SIGNIFICANT = 3  # digits of a number without one
 # numbers from one to the other are written out, others with a power of ten
 WRITTEN_OUT = (1e-3, 1e6)
+OFF_CENTRE = 0.2  # of a half-width: an interval that lies further off is no ±
 RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
 
@@ -42,7 +44,19 @@ def plus_minus(value: float, half: float) -> str:
         return f"({plus_minus(value / scale, half / scale)}) × 10{_raised(power)}"
     places = DIGITS - 1 - math.floor(math.log10(half))
     shown = max(places, 0)
-    return f"{round(value, places):.{shown}f} ± {round(half, places):.{shown}f}".replace("-", "−")
+    value = round(value, places) + 0.0  # no -0
+    return f"{value:.{shown}f} ± {round(half, places):.{shown}f}".replace("-", "−")
+
+
+def with_interval(value: float, ci95: Sequence[float | None]) -> str:
+    """A value with its interval: as ± where that lies about it, else from where to where."""
+    low, high = ci95
+    if low is None or high is None:
+        return short(value)
+    half = (high - low) / 2.0
+    if abs(value - (low + high) / 2.0) > OFF_CENTRE * half:
+        return f"{short(value)} ({short(low)} to {short(high)})"
+    return plus_minus(value, half)
 
 
 def percent(share: float) -> str:

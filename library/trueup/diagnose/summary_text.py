@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
-from trueup.diagnose.number_text import percent, plus_minus, short, unit
+from trueup.diagnose.number_text import percent, plus_minus, short, unit, with_interval
 from trueup.diagnose.tuning_of_answers import EVIDENCE
 
 PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
@@ -279,8 +279,8 @@ def waterfall(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     parts.append((NEW_NUMBERS, False, taken[1]))
     for e in effects:
         part = e["share"] / back if back else 1.0 / len(effects)
-        parts.append((name(e), True, taken[2] * part))
-    if unknown and not effects:
+        parts.append((name(e), True, 0.0 if unknown else taken[2] * part))
+    if unknown:
         parts.append((NEAREST, False, taken[2]))
     parts += [(UNEXPLAINED, False, taken[3]), (NOISE, False, levels[-1])]
     return [{"what": what, "effect": is_effect, "share": share} for what, is_effect, share in parts]
@@ -311,8 +311,7 @@ def _with_estimate(entry: Mapping[str, Any]) -> str:
     estimate = next(iter(entry["estimate"].items()), None)
     if estimate is None:
         return words
-    low, high = estimate[1]["ci95"]
-    value = plus_minus(estimate[1]["value"], (high - low) / 2.0)
+    value = with_interval(estimate[1]["value"], estimate[1]["ci95"])
     return f"{words}, {label_of(*estimate)} {value} {unit(estimate[1]['unit'])}".rstrip() + ","
 
 

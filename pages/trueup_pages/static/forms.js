@@ -289,4 +289,14 @@ document.addEventListener("click", (event) => {
   const button = event.target.closest("[data-copy]");
   if (button) copy(button);
 });
+// a second click of an impatient person would do the same twice
+document.addEventListener("submit", (event) => {
+  const pressed = event.submitter;
+  if (event.target.method !== "post" || !pressed) return;
+  setTimeout(() => (pressed.disabled = true)); // once the form was sent with what was pressed
+});
+addEventListener("pageshow", (event) => {
+  if (!event.persisted) return; // the page of before, by the button "back"
+  for (const button of document.querySelectorAll("form[method=post] button")) button.disabled = false;
+});
 for (const root of document.querySelectorAll("form[data-drop]")) new Drop(root);

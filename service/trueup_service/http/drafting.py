@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import shutil
 import uuid
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -57,14 +56,17 @@ async def receive_draft(
 ) -> Draft:
     """Receive the body as the files of a draft, and make the draft. Raises BadPlant,
     InspectionFailed, TooLargeUpload, DigestMismatch, BadRequest."""
-    drafts = Drafts(parts.settings.data_dir)
+    drafts, token = Drafts(parts.settings.data_dir), principal.token
     async with received_file(request, parts.spool, parts.settings.upload_limit_bytes) as file:
-        await run_in_threadpool(drafts.receive, principal.token, file.digest, file.path, name)
-    try:
-        return await _drafted(request, drafts, principal.token, file.digest, wishes)
-    except BaseException:
-        drafts.drop(principal.token, file.digest)
-        raise
+        with drafts.alone(token, file.digest):
+            was_there = drafts.holds(token, file.digest)
+            await run_in_threadpool(drafts.receive, token, file.digest, file.path, name)
+            try:
+                return await _drafted(request, drafts, token, file.digest, wishes)
+            except BaseException:
+                if not was_there:
+                    await run_in_threadpool(drafts.drop, token, file.digest)
+                raise
 
 
 async def revise_draft(
@@ -73,8 +75,9 @@ async def revise_draft(
     """Make a draft again, under other wishes; where that is refused it stays as it is. Raises
     NotFound, BadPlant, InspectionFailed."""
     drafts = Drafts(parts.settings.data_dir)
-    await run_in_threadpool(drafts.get, principal.token, digest)
-    return await _drafted(request, drafts, principal.token, digest, wishes)
+    with drafts.alone(principal.token, digest):
+        await run_in_threadpool(drafts.get, principal.token, digest)
+        return await _drafted(request, drafts, principal.token, digest, wishes)
 
 
 async def _drafted(
@@ -87,7 +90,7 @@ async def _drafted(
             drafts.keep, token, digest, {**document, "wishes": dict(wishes)}, made
         )
     except BaseException:
-        shutil.rmtree(made, ignore_errors=True)
+        await run_in_threadpool(shutil.rmtree, made, True)
         raise
 
 
@@ -101,36 +104,45 @@ async def register_draft(
     declares_gate: bool,
 ) -> RegisteredDraft:
     """Register the plant that a draft proposes, with its episodes, and then declare the default
-    gate, if that is asked for. What was registered before, as by a request that broke off, is as it
-    is.
+    gate, if that is asked for. The draft stays: a request whose answer was lost is sent again, and
+    what was registered already is as it is.
 
     Raises NotFound, BadRequest where the draft proposes no plant yet, Forbidden, Conflict where the
     name is taken.
     """
     drafts = Drafts(parts.settings.data_dir)
-    draft = await run_in_threadpool(drafts.get, principal.token, digest)
-    document: Any = draft.document["plant"]
-    if document is None:
-        raise BadRequest(
-            "the draft proposes no plant yet",
-            hint="Say which signals are meant, and make the draft again.",
+    with drafts.alone(principal.token, digest):
+        draft = await run_in_threadpool(drafts.get, principal.token, digest)
+        document: Any = draft.document["plant"]
+        if document is None:
+            raise BadRequest(
+                "the draft proposes no plant yet",
+                hint="Say which signals are meant, and make the draft again.",
+            )
+        plant, gate = await run_in_threadpool(
+            _register, parts, context, principal, document, declares_gate
         )
-    plant, gate = await run_in_threadpool(
-        _register, parts, context, principal, document, declares_gate
-    )
-    against = await run_in_threadpool(plant_context, parts, document["name"])
-    episodes = []
+        episodes = await _ingested(request, parts, context, draft, str(document["name"]))
+    return RegisteredDraft(plant, tuple(episodes), gate)
+
+
+async def _ingested(
+    request: Request, parts: Parts, context: ActorContext, draft: Draft, plant: str
+) -> list[Created]:
+    """The episodes of a draft, as if they had been uploaded to its plant."""
+    against = await run_in_threadpool(plant_context, parts, plant)
     listed: Any = draft.document["episodes"]
+    episodes = []
     for of in listed:
-        with _copied(draft.episode(of["file"]), parts.spool) as copy:
+        copy = await run_in_threadpool(_copied, draft.episode(of["file"]), parts.spool)
+        try:
             async with inspected_episode(request, copy, against, Described()) as (file, inspected):
                 episodes.append(
-                    await run_in_threadpool(
-                        ingest, parts, context, document["name"], None, file, inspected
-                    )
+                    await run_in_threadpool(ingest, parts, context, plant, None, file, inspected)
                 )
-    await run_in_threadpool(drafts.drop, principal.token, digest)
-    return RegisteredDraft(plant, tuple(episodes), gate)
+        finally:
+            copy.path.unlink(missing_ok=True)
+    return episodes
 
 
 def _register(
@@ -164,12 +176,8 @@ def _register(
     return plant, gate
 
 
-@contextmanager
-def _copied(path: Path, spool: Path) -> Iterator[ReceivedFile]:
+def _copied(path: Path, spool: Path) -> ReceivedFile:
     """An episode of a draft as if it was received."""
     copy = spool / uuid.uuid4().hex
-    try:
-        shutil.copyfile(path, copy)
-        yield ReceivedFile(copy, digest_of_file(copy), copy.stat().st_size)
-    finally:
-        copy.unlink(missing_ok=True)
+    shutil.copyfile(path, copy)
+    return ReceivedFile(copy, digest_of_file(copy), copy.stat().st_size)

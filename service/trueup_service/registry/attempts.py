@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sqlalchemy import delete, insert, select, update
+from sqlalchemy import delete, func, insert, select, update
 
 from trueup_service.registry import tables as t
 from trueup_service.registry.repository import TableGateway
@@ -60,10 +60,13 @@ class Attempts:
         )
 
     def finish(self, entry: str) -> None:
-        """Note that an entry needs no further attempt."""
+        """Note that the last attempt at an entry was the one that finished it."""
         of = t.attempts.c
+        last = select(func.max(of.number)).where(of.entry == entry).scalar_subquery()
         self._connection.execute(
-            update(t.attempts).where(of.entry == entry, of.ended.is_(None)).values(ended=FINISHED)
+            update(t.attempts)
+            .where(of.entry == entry, of.number == last, of.ended.is_(None))
+            .values(ended=FINISHED)
         )
 
     def end_all(self, worker: str) -> None:

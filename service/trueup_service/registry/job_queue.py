@@ -53,7 +53,7 @@ def queued_jobs(tx: ReadTransaction, now: datetime) -> list[QueuedJob]:
 
 
 def _left(queued: QueuedJob, now: datetime) -> float | None:
-    """How long a job still takes [s]: by its progress where it has begun, by its like where not."""
+    """How long a job still takes [s]: as long as its like, less what it has run."""
     if queued.begun_at is None or queued.takes_s is None:
         return queued.takes_s
     ran = (now - datetime.fromisoformat(queued.begun_at)).total_seconds()
@@ -63,7 +63,7 @@ def _left(queued: QueuedJob, now: datetime) -> float | None:
 def _begun(tx: ReadTransaction, jobs: Sequence[str]) -> dict[str, tuple[str, str]]:
     """The worker of each job that has begun, and when it began."""
     of = t.attempts.c
-    query = select(of.entry, of.worker, of.begun_at).where(of.entry.in_(jobs))
+    query = select(of.entry, of.worker, of.begun_at).where(of.entry.in_(jobs), of.ended.is_(None))
     rows = tx.connection.execute(query.order_by(of.number))
     return {row.entry: (row.worker, row.begun_at) for row in rows}
 

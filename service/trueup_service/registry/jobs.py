@@ -51,6 +51,10 @@ class Jobs(Repository[JobRecord]):
         """The newest job of a kind."""
         return self._last("created_at", plant=plant, kind=kind)
 
+    def last_succeeded(self, plant: str, kind: str) -> JobRecord | None:
+        """The newest job of a kind that has succeeded."""
+        return self._last("created_at", plant=plant, kind=kind, state=JobState.SUCCEEDED)
+
     def last_matching(
         self, plant: str, kind: str, matches: Callable[[Mapping[str, Any]], bool]
     ) -> JobRecord | None:

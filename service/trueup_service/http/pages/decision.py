@@ -20,8 +20,9 @@ from trueup_service.actions.declare_policy import policy_of
 from trueup_service.actions.gate_line import known_at, place
 from trueup_service.http.dependencies import Digest, PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import guarded
-from trueup_service.http.pages.page import act, begin_job, form, go, show, whole_number
+from trueup_service.http.pages.page import act, begin_job, checked, form, go, show, whole_number
 from trueup_service.http.problems import status_of
+from trueup_service.http.schemas.decisions import ApprovalRequest
 from trueup_service.registry.records import FINAL, DecisionRecord, GateRecord
 from trueup_service.registry.transaction import ReadTransaction, reading
 from trueup_service.wiring import Parts
@@ -69,6 +70,7 @@ def _page(
             "size": tree.size,
             "root": tree.root().hex(),
             "serving": find.serving(tx, plant),
+            "gate_in_force": tx.gates.in_order(plant)[-1].digest,
             "needed": _approvals_needed(tx, plant),
             "key": uuid.uuid4().hex,
             "refused": refused,
@@ -118,9 +120,10 @@ async def approve_(
     digest: Digest,
 ) -> Response:
     """Approve a decision, with the reason of the form if there is one."""
-    because = (await form(request)).get("because", "").strip() or None
+    text = (await form(request)).get("because", "").strip() or None
 
     def approved() -> object:
+        because = checked(ApprovalRequest.model_validate, {"because": text}).because
         return parts.writer.run(lambda tx: approve(tx, plant, digest, because, context))
 
     return await act(

@@ -12,9 +12,10 @@ from trueup_service.actions.alarms import close_alarm
 from trueup_service.actor_context import END_OF_TIME
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import guarded
-from trueup_service.http.pages.page import act, form, show
+from trueup_service.http.pages.page import act, checked, form, show
 from trueup_service.http.problems import status_of
 from trueup_service.http.routers.monitors import AlarmId
+from trueup_service.http.schemas.monitors import Closing
 from trueup_service.registry.overview import gaps_of
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
@@ -38,9 +39,10 @@ async def close(
     alarm: AlarmId,
 ) -> Response:
     """Close an alarm, with the reason of the form."""
-    because = (await form(request)).get("because", "").strip() or "no reason was given"
+    fields = await form(request)
 
     def closed() -> object:
+        because = checked(Closing.model_validate, {"because": fields.get("because", "")}).because
         return parts.writer.run(lambda tx: close_alarm(tx, plant, alarm, because, context))
 
     return await act(

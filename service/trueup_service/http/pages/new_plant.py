@@ -62,19 +62,24 @@ async def decide(
     for."""
     fields = await form(request)
     there = Drafts(parts.settings.data_dir)
-    before = await run_in_threadpool(there.get, principal.token, draft)
+    now = await run_in_threadpool(there.get, principal.token, draft)
     try:
-        wishes = _wishes(fields, before)
-        now = before
-        if wishes != before.document["wishes"]:
+        wishes = _wishes(fields, now)
+        if wishes != _normal(now.document["wishes"]):
             now = await revise_draft(request, parts, principal, draft, wishes)
         if fields.get("do") != REGISTER or now.document["plant"] is None:
             return go(f"/new/{draft}")
         gate = fields.get("gate") == "yes"
         made = await register_draft(request, parts, context, principal, draft, declares_gate=gate)
     except TrueupError as error:
-        return await run_in_threadpool(_page, request, before, error)
+        return await run_in_threadpool(_page, request, now, error)
     return go(f"/plants/{made.plant.record['name']}")
+
+
+def _normal(wishes: Any) -> dict[str, Any]:
+    """Wishes without what is as it is by default."""
+    valid = Wishes.model_validate(wishes)
+    return valid.model_dump(exclude_none=True, exclude_defaults=True)
 
 
 def _wishes(fields: Mapping[str, str], before: Draft) -> dict[str, Any]:
@@ -91,6 +96,10 @@ def _wishes(fields: Mapping[str, str], before: Draft) -> dict[str, Any]:
         "time_unit": fields.get("time-unit") or None,
     }
     earlier: Any = before.document["wishes"]
+    for key in ("rate_hz", "joint", "plant", "mapping"):
+        wanted[key] = earlier.get(key)
+    if wanted["signals"] or wanted["units"]:
+        wanted["mapping"] = None  # which was of other signals
     for key in ("signals", "units"):
         wanted[key] = {**earlier.get(key, {}), **wanted[key]}
         wanted[key] = {symbol: value for symbol, value in wanted[key].items() if value}
@@ -101,7 +110,7 @@ def _wishes(fields: Mapping[str, str], before: Draft) -> dict[str, Any]:
         wanted["family"] = earlier.get("family")
     if wanted["name"] == before.document["name"]:
         wanted["name"] = earlier.get("name")
-    return checked(Wishes.model_validate, wanted).model_dump(exclude_none=True)
+    return _normal(checked(Wishes.model_validate, wanted))
 
 
 def _changed(fields: Mapping[str, str], what: str, shown: Mapping[str, str]) -> dict[str, str]:

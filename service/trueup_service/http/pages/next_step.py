@@ -11,10 +11,10 @@ from trueup.canonical import Json
 from trueup_pages.copy_as import command, rest
 from trueup_pages.jobs import name_of
 from trueup_service.actor_context import END_OF_TIME
-from trueup_service.registry.records import FINAL, DecisionRecord, JobRecord, JobState, Move, Role
+from trueup_service.registry.records import DecisionRecord, JobRecord, Move, Role
 from trueup_service.registry.transaction import ReadTransaction
 
-SOUGHT = 50  # of the newest jobs and decisions
+SOUGHT = 50  # of the newest decisions
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,10 +35,11 @@ class NextStep:
 def next_step(tx: ReadTransaction, plant: str, serving: Move) -> NextStep:
     """The next step of a plant."""
     here, api = f"/plants/{plant}", f"/v1/plants/{plant}"
-    jobs = tx.jobs.page(plant, END_OF_TIME, SOUGHT)
-    under_way = [j for j in jobs if j.state not in FINAL and j.kind in ("diagnose", "fit", "gate")]
+    under_way = [
+        j for j in tx.jobs.under_way() if j.plant == plant and j.kind in ("diagnose", "fit", "gate")
+    ]
     if under_way:
-        job = under_way[-1]
+        job = under_way[0]
         return NextStep(
             f"A {name_of(job.kind)} is under way",
             "Its page shows how far it is, and goes on by itself.",
@@ -61,17 +62,9 @@ def next_step(tx: ReadTransaction, plant: str, serving: Move) -> NextStep:
             command=command("upload", plant, "FILES", "--role", missing[0]),
         )
     if not tx.gates.in_order(plant):
-        return NextStep(
-            "Declare a gate",
-            "The gate is the rule by which a corrected model is accepted or rejected. It is "
-            "declared before anything is scored, and frozen.",
-            "Declare the default gate",
-            f"{here}/gate",
-            {"default": "yes"},
-            rest=rest("POST", f"{api}/gates"),
-        )
+        return _declare_gate(plant)
     newest = max(e.created_at for e in recorded)
-    diagnosis = next((j for j in jobs if _succeeded(j, "diagnose")), None)
+    diagnosis = tx.jobs.last_succeeded(plant, "diagnose")
     if diagnosis is None or diagnosis.created_at < newest:
         return NextStep(
             "Diagnose the gap",
@@ -94,9 +87,10 @@ def step_after(tx: ReadTransaction, plant: str, serving: Move, diagnosis: JobRec
     if result["report"]["verdict"] == "no_gap":
         return NextStep(
             "Nothing has to be corrected",
-            "The declared model predicts to the noise floor on the held-out recordings.",
-            "Read the diagnosis",
-            f"{here}/diagnoses/{diagnosis.id}",
+            "The declared model predicts to the noise floor on the held-out recordings. Watch it, "
+            "to be told when that changes.",
+            "Watch it…",
+            f"{here}/monitor",
         )
     candidate = tx.artifacts.get(plant, result["artifact"])
     if candidate is None:
@@ -126,11 +120,24 @@ def step_after(tx: ReadTransaction, plant: str, serving: Move, diagnosis: JobRec
     )
 
 
+def _declare_gate(plant: str) -> NextStep:
+    return NextStep(
+        "Declare a gate",
+        "The gate is the rule by which a corrected model is accepted or rejected. It is "
+        "declared before anything is scored, and frozen.",
+        "Declare the default gate",
+        f"/plants/{plant}/gate",
+        {"default": "yes"},
+        rest=rest("POST", f"/v1/plants/{plant}/gates"),
+    )
+
+
 def judge(tx: ReadTransaction, plant: str, candidate: str, version: int) -> NextStep:
     """Judge a version by the gate in force."""
     line = tx.gates.in_order(plant)
-    gate = line[-1].digest if line else ""
-    asked: dict[str, str] = {"kind": "gate", "candidate": candidate, "gate": gate}
+    if not line:
+        return _declare_gate(plant)
+    asked: dict[str, str] = {"kind": "gate", "candidate": candidate, "gate": line[-1].digest}
     return NextStep(
         f"Judge version {version}",
         "The gate compares the corrected model with the one that serves, on held-out recordings.",
@@ -178,7 +185,3 @@ def _decision_on(
 
 def _promotion(decision: DecisionRecord) -> dict[str, Json]:
     return {"decision": decision.digest, "expected_generation": decision.generation}
-
-
-def _succeeded(job: JobRecord, kind: str) -> bool:
-    return job.kind == kind and job.state == JobState.SUCCEEDED

@@ -46,8 +46,8 @@ class DraftEpisode(BaseModel):
 
 class Draft(BaseModel):
     """A plant that received files propose, with its episodes. `digest` is the SHA-256 of what was
-    received. Where `plant` is null, `problem` says what a person must decide first, and `signals`
-    lists what there is to choose from."""
+    received, `unused` the files of it that the draft does not use. Where `plant` is null, `problem`
+    says what a person must decide first, and `signals` lists what there is to choose from."""
 
     digest: Digest
     name: str
@@ -58,6 +58,7 @@ class Draft(BaseModel):
     signals: list[str]
     stage: str
     is_role_declared: bool
+    unused: list[str]
     problem: dict[str, Any] | None
 
 
