@@ -177,9 +177,9 @@ def _units_of_family(plant: Plant) -> dict[str, str]:
     """The unit of each parameter of a family, in the declared units; empty for other models."""
     if plant.family not in families():
         return {}
-    acceleration = unit(Scale.ACCELERATION, plant)
+    acceleration, command = unit(Scale.ACCELERATION, plant), unit(Scale.COMMAND, plant)
     measures = {
-        "acceleration / command": f"{acceleration}/{unit(Scale.COMMAND, plant)}",
+        "acceleration / command": acceleration if command == "1" else f"{acceleration}/{command}",
         "acceleration": acceleration,
     }
     return {p.name: measures.get(p.unit, p.unit) for p in families()[plant.family].params}

@@ -10,6 +10,7 @@ from typing import Any
 from trueup.diagnose.number_text import percent, plus_minus, short, unit, with_interval
 from trueup.diagnose.tuning_of_answers import EVIDENCE
 
+HYPHENATED = {"load_dependent_friction": "load-dependent friction"}
 PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 MOST_NUMBERS = 3  # that a sentence names
 SHORT_DIGEST = 12  # digits of a recording's digest
@@ -326,6 +327,7 @@ def name(entry: Any) -> str:
         (entry, None) if isinstance(entry, str) else (str(entry["effect"]), entry.get("joint"))
     )
     words = " ".join(PROPER.get(word, word) for word in effect.split("_"))
+    words = HYPHENATED.get(effect, words)
     return f"{words} at {at}" if at else words
 
 
