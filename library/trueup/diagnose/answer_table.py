@@ -151,10 +151,16 @@ def _moved(report: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
     return [(parameter, p) for _, parameter, p in sorted(moved, key=lambda m: -m[0])]
 
 
+def _called(parameter: str, number: Mapping[str, Any]) -> str:
+    """A parameter's symbol behind what it is called; an older report has the symbol alone."""
+    label = number.get("label", parameter)
+    return parameter if label == parameter else f"{label} {parameter}"
+
+
 def _refitted_row(report: Mapping[str, Any], share: float) -> Row:
     moved = _moved(report)
     sizes = [
-        (parameter, f"{_size(p)}, was {short(p['nominal'])}")
+        (_called(parameter, p), f"{_size(p)}, was {short(p['nominal'])}")
         for parameter, p in moved[:MOST_PARAMETERS]
     ]
     if len(moved) > len(sizes):
@@ -187,10 +193,12 @@ def _sure(report: Mapping[str, Any], entry: Mapping[str, Any]) -> str:
     named = composition(nearest["effects"], "refitting alone")
     if ratio <= 1.0:
         more = len(nearest["effects"]) > len(report["effects"])
-        return f"likely: {named} errs no more{', with more effects' if more else ''}"
+        with_more = ", with more effects" if more else ""
+        return f"likely: another explanation, {named}, errs no more{with_more}"
     worse = (nearest.get("worse_ci95") or [None])[0]
     is_certain = worse > 0.0 if worse is not None else ratio >= PLAINLY
-    return f"{'certain' if is_certain else 'likely'}: {named}, the next best, errs {_times(ratio)}"
+    sure = "certain" if is_certain else "likely"
+    return f"{sure}: the next best explanation, {named}, errs {_times(ratio)}"
 
 
 def _times(ratio: float) -> str:

@@ -173,8 +173,9 @@ def _inside(span: tuple[float, float], number: Number, scale: float) -> tuple[fl
     return max(span[0], number.low * scale), min(span[1], number.high * scale)
 
 
-def _units_of_family(plant: Plant) -> dict[str, str]:
-    """The unit of each parameter of a family, in the declared units; empty for other models."""
+def _described_by_family(plant: Plant) -> dict[str, dict[str, Json]]:
+    """The unit of each parameter of a family, in the declared units, and what it is called; empty
+    for other models."""
     if plant.family not in families():
         return {}
     acceleration, command = unit(Scale.ACCELERATION, plant), unit(Scale.COMMAND, plant)
@@ -182,7 +183,10 @@ def _units_of_family(plant: Plant) -> dict[str, str]:
         "acceleration / command": acceleration if command == "1" else f"{acceleration}/{command}",
         "acceleration": acceleration,
     }
-    return {p.name: measures.get(p.unit, p.unit) for p in families()[plant.family].params}
+    return {
+        p.name: {"unit": measures.get(p.unit, p.unit), "label": p.called or p.name}
+        for p in families()[plant.family].params
+    }
 
 
 def parameter_table(
@@ -195,13 +199,13 @@ def parameter_table(
     fitted = directions.determined.copy()
     dissipates = (directions.alone >= 0) & (directions.low == 0.0)
     fitted[directions.alone[dissipates]] = True
-    units = _units_of_family(plant)
+    described = _described_by_family(plant)
     return {
         name: {
             "nominal": nominal,
             "value": float(value),
             "ci95": [float(low), float(high)],
-            **({"unit": units[name]} if name in units else {}),
+            **described.get(name, {}),
         }
         for (name, nominal), value, (low, high), determined in zip(
             plant.nominal.items(), fit.values, limits, fitted, strict=False

@@ -16,11 +16,13 @@ from typing import Any, ClassVar
 
 @dataclass(frozen=True, slots=True)
 class Param:
-    """A number of the model: its symbol, its unit, and the least value it may take."""
+    """A number of the model: its symbol, its unit, the least value it may take, and what people
+    call it."""
 
     name: str
     unit: str
     low: float = float("-inf")
+    called: str = ""
 
 
 class Family(ABC):

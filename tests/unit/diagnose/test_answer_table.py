@@ -37,7 +37,7 @@ def test_the_table_answers_which_where_how_large_how_much_and_how_sure():
     assert (first.what, first.where) == ("Coulomb friction", "force at the joint")
     assert first.sizes == (("level", "0.210 ± 0.020 m/s²"),)
     assert first.share == "91 %"
-    assert first.sure == "certain: backlash, the next best, errs 2 times as much"
+    assert first.sure == "certain: the next best explanation, backlash, errs 2 times as much"
 
 
 def test_what_closes_most_comes_first_and_shares_add_up():
@@ -55,12 +55,12 @@ def test_what_closes_most_comes_first_and_shares_add_up():
         (
             [],
             [FRICTION, hypothesis(0.9, "backlash", "deadband")],
-            "likely: backlash with deadband errs no more, with more effects",
+            "likely: another explanation, backlash with deadband, errs no more, with more effects",
         ),
         (
             [],
             [FRICTION, hypothesis(1.21, "backlash")],
-            "certain: backlash, the next best, errs 10 % more",
+            "certain: the next best explanation, backlash, errs 10 % more",
         ),
     ],
 )

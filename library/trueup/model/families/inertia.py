@@ -11,7 +11,10 @@ class Inertia(Family):
     """
 
     name = "inertia"
-    params = (Param("c", "1/s"), Param("b", "acceleration / command"))
+    params = (
+        Param("c", "1/s", called="damping"),
+        Param("b", "acceleration / command", called="gain"),
+    )
     products = ("c*v", "b*u")
 
     @staticmethod

@@ -11,7 +11,11 @@ class Oscillator(Family):
     """
 
     name = "oscillator"
-    params = (Param("k", "1/s^2"), Param("c", "1/s"), Param("b", "acceleration / command"))
+    params = (
+        Param("k", "1/s^2", called="stiffness"),
+        Param("c", "1/s", called="damping"),
+        Param("b", "acceleration / command", called="gain"),
+    )
     products = ("k*q", "c*v", "b*u")
 
     @staticmethod

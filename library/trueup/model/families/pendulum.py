@@ -13,7 +13,11 @@ class Pendulum(Family):
     """
 
     name = "pendulum"
-    params = (Param("k", "1/s^2"), Param("c", "1/s"), Param("b", "acceleration / command"))
+    params = (
+        Param("k", "1/s^2", called="gravity"),
+        Param("c", "1/s", called="damping"),
+        Param("b", "acceleration / command", called="gain"),
+    )
     products = ("k*sin(q)", "c*v", "b*u")
 
     @staticmethod

@@ -139,8 +139,9 @@ def judge(tx: ReadTransaction, plant: str, candidate: str, version: int) -> Next
         return _declare_gate(plant)
     asked: dict[str, str] = {"kind": "gate", "candidate": candidate, "gate": line[-1].digest}
     return NextStep(
-        f"Judge version {version}",
-        "The gate compares the corrected model with the one that serves, on held-out recordings.",
+        f"Judge version {version}, the corrected model",
+        "The gate, a rule that was declared before, compares it with the model that serves, on "
+        "held-out recordings, and accepts or rejects it.",
         "Judge",
         f"/plants/{plant}/jobs",
         asked,
