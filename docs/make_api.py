@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from trueup_service.http.app import create_app
-from trueup_service.http.problems import STATUS
+from trueup_service.http.statuses import STATUS
 from trueup_service.settings import Settings
 from trueup_service.wiring import build
 

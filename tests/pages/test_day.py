@@ -8,7 +8,7 @@ import uuid
 import pytest
 from playwright.sync_api import expect
 
-from tests.support.browser import A_MINUTE, Seat, browsing
+from tests.support.browser import A_MINUTE, Seat
 from tests.support.case import write_friction_case
 from tests.support.made import episode_bytes, identified, plant_document, save
 from tests.support.service import ROOT, Service, command
@@ -27,24 +27,9 @@ expect.set_options(timeout=15000)
 
 
 @pytest.fixture(scope="module")
-def browser():
-    with browsing() as opened:
-        yield opened
-
-
-@pytest.fixture(scope="module")
 def running(tmp_path_factory):
     with Service(embedded(tmp_path_factory.mktemp("day"))).running() as service:
         yield service
-
-
-@pytest.fixture(scope="module")
-def cookies(browser, running):
-    seat = Seat(browser, running)
-    seat.sign_in()
-    kept = seat.context.storage_state()
-    seat.context.close()
-    return kept
 
 
 @pytest.fixture

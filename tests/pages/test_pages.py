@@ -13,7 +13,7 @@ from playwright.sync_api import expect
 
 from tests.conftest import EXAMPLE
 from tests.http.test_http import request
-from tests.support.browser import A_MINUTE, Seat, browsing
+from tests.support.browser import A_MINUTE, Seat
 from tests.support.case import write_friction_case
 from tests.support.made import episode_bytes, identified, plant_document
 from tests.support.service import ADMIN, Service, command
@@ -28,12 +28,6 @@ HOSTILE = "<img src=x onerror=\"document.title='taken'\"><script>document.title=
 LIGHTEST = 500_000
 CURVES = 5  # two signals, the error of each, and the command
 expect.set_options(timeout=A_MINUTE)
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with browsing() as opened:
-        yield opened
 
 
 @pytest.fixture(scope="module")
@@ -112,15 +106,6 @@ def pages(running, known):
         },
         "missing": "/plants/no-such-plant",
     }
-
-
-@pytest.fixture(scope="module")
-def cookies(browser, running):
-    seat = Seat(browser, running)
-    seat.sign_in()
-    kept = seat.context.storage_state()
-    seat.context.close()
-    return kept
 
 
 @pytest.fixture

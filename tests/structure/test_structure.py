@@ -21,7 +21,7 @@ from tests.support.parts import PARTS, ROOT
 from trueup import errors
 from trueup.ledger.merkle import NOTHING
 from trueup_migrations import FOLDER, HEAD, upgrade
-from trueup_service.http import problems
+from trueup_service.http import statuses
 from trueup_service.registry.database import Database
 from trueup_service.registry.schema import current
 from trueup_service.registry.tables import metadata
@@ -141,7 +141,7 @@ def test_every_error_stands_in_the_tree_of_the_librarys_errors():
 
 def test_every_error_that_the_service_can_answer_with_has_a_status():
     ours = {k for k in all_errors() if k.__module__.startswith(("trueup.", "trueup_service."))}
-    without = {k for k in ours if not any(c in problems.STATUS for c in k.__mro__)}
+    without = {k for k in ours if not any(c in statuses.STATUS for c in k.__mro__)}
     assert {k.__name__ for k in without} <= {"TrueupError", "LedgerError", "LawBroken"}
 
 

@@ -24,7 +24,6 @@ import numpy as np
 import orjson
 
 from trueup.canonical import Json
-from trueup.diagnose.case import recordings_of
 from trueup.diagnose.make_case import (
     MODEL_SUFFIXES,
     PLANT_FILE,
@@ -37,7 +36,6 @@ from trueup.diagnose.make_case import (
 from trueup.doctor.finding import documents
 from trueup.episode.container import LIMITS, Limits
 from trueup.episode.episode import Episode
-from trueup.episode.mcap import read_episode
 from trueup.errors import BadMapping, BadPlant, NotIdentifiable, TrueupError
 from trueup.model.nominal_form import resolved
 from trueup.model.plant import Plant
@@ -275,15 +273,11 @@ def _problem(error: TrueupError) -> Json:
 
 
 def _made(case: MadeCase, runs: Sequence[Run], wishes: Wishes) -> dict[str, Json]:
-    document = resolved(case.document, case.folder)
-    plant = Plant.from_document(document)
-    files = recordings_of(case.folder)
-    episodes = [read_episode(file.read_bytes(), plant.layout) for file in files]
     return {
         **_nothing(case.folder, wishes),
         **_choice(runs),
-        "name": plant.name,
-        "plant": document,
+        "name": case.plant.name,
+        "plant": dict(case.plant.document),
         "mapping": _mapping(case.mapping),
         "episodes": [
             {
@@ -293,11 +287,11 @@ def _made(case: MadeCase, runs: Sequence[Run], wishes: Wishes) -> dict[str, Json
                 "duration_s": float(e.t_s[-1]),
                 "recording": e.conditions.get("recording", file.name),
             }
-            for file, e in zip(files, episodes, strict=True)
+            for file, e in zip(case.files, case.episodes, strict=True)
         ],
         "findings": documents(case.findings),
         "is_role_declared": case.is_role_declared,
-        "preview": _preview(plant, episodes[0]),
+        "preview": _preview(case.plant, case.episodes[0]),
     }
 
 

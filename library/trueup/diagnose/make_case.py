@@ -59,7 +59,8 @@ class Declared:
 @dataclass(frozen=True)
 class MadeCase:
     """A case folder that was made: its plant.json, the mapping that it was made by, its episodes'
-    roles, whether the recordings declared them, and what looks wrong with the log."""
+    roles, whether the recordings declared them, and what looks wrong with the log; and the plant
+    and the episodes as they are read from there, in the order of their `files`."""
 
     folder: Path
     document: dict[str, Any]
@@ -68,6 +69,9 @@ class MadeCase:
     is_role_declared: bool
     stage: str
     findings: Sequence[Finding]
+    plant: Plant
+    files: Sequence[Path]
+    episodes: Sequence[Episode]
 
 
 def find_mapping(runs: Sequence[Run], declared: Declared) -> SignalMapping:
@@ -116,6 +120,7 @@ def make_case(
     (out / MAPPING_FILE).write_text(json.dumps(mapping.document(), indent=1) + "\n")
     progress("looking for faults in the log", 0.9)
     plant = Plant.from_document(resolved(document, out))
+    episodes = [replace(e, layout=plant.layout) for e in episodes]
     return MadeCase(
         out,
         document,
@@ -123,7 +128,10 @@ def make_case(
         Counter(e.role for e in episodes),
         runs[0].recording.role is not None,
         declared.stage,
-        examine(plant, [replace(e, layout=plant.layout) for e in episodes]),
+        examine(plant, episodes),
+        plant,
+        paths,
+        episodes,
     )
 
 

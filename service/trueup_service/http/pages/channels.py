@@ -15,7 +15,6 @@ from trueup_service.actions.channels import declare_channel, move_channel
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import guarded
 from trueup_service.http.pages.page import act, checked, form, show, whole_number
-from trueup_service.http.problems import status_of
 from trueup_service.http.routers.channels import ChannelName
 from trueup_service.http.schemas.serving import ChannelDeclaration
 from trueup_service.registry.transaction import Transaction, reading
@@ -95,7 +94,6 @@ def _page(
     return show(
         request,
         "channels.html",
-        200 if refused is None else status_of(refused),
         plant=plant,
         serving=serving,
         channels=listed,

@@ -21,7 +21,6 @@ from trueup_service.actions.gate_line import known_at, place
 from trueup_service.http.dependencies import Digest, PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import guarded
 from trueup_service.http.pages.page import act, begin_job, checked, form, go, show, whole_number
-from trueup_service.http.problems import status_of
 from trueup_service.http.schemas.decisions import ApprovalRequest
 from trueup_service.registry.records import FINAL, DecisionRecord, GateRecord
 from trueup_service.registry.transaction import ReadTransaction, reading
@@ -77,8 +76,7 @@ def _page(
             "anew": anew,
             "waiting": anew is not None and anew.state not in FINAL,
         }
-    status = 200 if refused is None else status_of(refused)
-    return show(request, "decision.html", status, **values)
+    return show(request, "decision.html", **values)
 
 
 def _approvals_needed(tx: ReadTransaction, plant: str) -> int:

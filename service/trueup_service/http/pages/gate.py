@@ -17,7 +17,6 @@ from trueup_service.actions.gate_line import place
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import guarded
 from trueup_service.http.pages.page import act, form, show
-from trueup_service.http.problems import status_of
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
@@ -86,7 +85,6 @@ def _page(
     return show(
         request,
         "gate.html",
-        200 if refused is None else status_of(refused),
         plant=plant,
         now=now,
         earlier=list(reversed(line[:-1])),

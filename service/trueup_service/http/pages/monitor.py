@@ -3,6 +3,8 @@ alarms, and the forms that calibrate a monitor and close an alarm."""
 
 from __future__ import annotations
 
+from typing import Any
+
 from fastapi import Request, Response
 from starlette.concurrency import run_in_threadpool
 
@@ -13,7 +15,6 @@ from trueup_service.actor_context import END_OF_TIME
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import guarded
 from trueup_service.http.pages.page import act, checked, form, show
-from trueup_service.http.problems import status_of
 from trueup_service.http.routers.monitors import AlarmId
 from trueup_service.http.schemas.monitors import Closing
 from trueup_service.registry.overview import gaps_of
@@ -61,7 +62,7 @@ def _page(
         watching = tx.watches.current(plant)
         of = None if watching is None else tx.monitors.get(plant, watching.monitor)
         seen = 0 if watching is None else watching.sequence
-        values = {
+        values: dict[str, Any] = {
             "serving": serving,
             "monitor": of,
             "watches": of is not None and of.artifact == serving.artifact,
@@ -73,5 +74,4 @@ def _page(
             "alarms": tx.alarms.page(plant, END_OF_TIME, LISTED),
             "reference": len(tx.episodes.of_roles(plant, ("reference",))),
         }
-    status = 200 if refused is None else status_of(refused)
-    return show(request, "monitor.html", status, plant=plant, refused=refused, **values)
+    return show(request, "monitor.html", plant=plant, refused=refused, **values)

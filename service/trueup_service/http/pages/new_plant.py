@@ -16,7 +16,6 @@ from trueup_service.http.dependencies import Digest, RequestContext, RequestPart
 from trueup_service.http.drafting import register_draft, revise_draft
 from trueup_service.http.guard import CurrentPrincipal, guarded
 from trueup_service.http.pages.page import checked, form, go, show
-from trueup_service.http.problems import status_of
 from trueup_service.http.schemas.drafts import Wishes
 
 router = guarded("", ["pages"], documented=False)
@@ -154,7 +153,6 @@ def _page(request: Request, draft: Draft, refused: TrueupError | None = None) ->
     return show(
         request,
         "draft.html",
-        200 if refused is None else status_of(refused),
         d=document,
         chosen=_chosen(document),
         guesses=mapping.get("guesses", []),

@@ -24,6 +24,7 @@ from trueup_service.actor_context import ActorContext
 from trueup_service.authentication import Principal
 from trueup_service.control_characters import control_character
 from trueup_service.errors import BadRequest, TooLargeUpload
+from trueup_service.http.statuses import status_of
 from trueup_service.registry.records import Role
 from trueup_service.registry.transaction import writing
 from trueup_service.wiring import Parts
@@ -55,8 +56,17 @@ def begin_job(
     return job
 
 
-def show(request: Request, template: str, status: int = 200, **values: Any) -> HTMLResponse:
-    """A rendered page, with who is signed in."""
+def show(
+    request: Request,
+    template: str,
+    status: int = 200,
+    *,
+    refused: TrueupError | None = None,
+    **values: Any,
+) -> HTMLResponse:
+    """A rendered page, with who is signed in. Where what its form asked for was `refused`, the
+    page says why, and has the status of that."""
+    status = status if refused is None else status_of(refused)
     principal: Principal | None = request.scope.get("principal")
     here = {
         "who": principal,
@@ -64,7 +74,8 @@ def show(request: Request, template: str, status: int = 200, **values: Any) -> H
         "status": int(status),
         "may": lambda *roles: may(principal, *roles),
     }
-    return HTMLResponse(render(template, **here, **values), status, headers=HEADERS)
+    page = render(template, **here, refused=refused, **values)
+    return HTMLResponse(page, status, headers=HEADERS)
 
 
 def may(principal: Principal | None, *roles: str) -> bool:

@@ -22,7 +22,6 @@ from trueup_service.http.guard import guarded
 from trueup_service.http.pages.next_step import next_step
 from trueup_service.http.pages.page import act, begin_job, form, go, show, whole_number
 from trueup_service.http.pages.study import STUDIES
-from trueup_service.http.problems import status_of
 from trueup_service.registry.overview import gaps_of
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
@@ -124,7 +123,7 @@ def _offer(request: Request, parts: Parts, plant: str, refused: TrueupError | No
             pass  # the pointer moved meanwhile; sending the form will report it
         except TrueupError as error:
             fails, instead = error, error.facts.get("next")
-    values = {
+    values: dict[str, Any] = {
         "name": plant,
         "serving": serving,
         "back": back,
@@ -136,7 +135,6 @@ def _offer(request: Request, parts: Parts, plant: str, refused: TrueupError | No
     return show(
         request,
         "rollback.html",
-        200 if refused is None else status_of(refused),
         key=uuid.uuid4().hex,
         **values,
     )

@@ -17,7 +17,6 @@ from trueup_service.actions.gate_line import place
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import CurrentPrincipal, guarded
 from trueup_service.http.pages.page import act, form, show
-from trueup_service.http.problems import status_of
 from trueup_service.registry.records import Role
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
@@ -100,7 +99,6 @@ def _page(
     return show(
         request,
         "policy.html",
-        200 if refused is None else status_of(refused),
         plant=plant,
         held=held,
         gate=gate,
