@@ -35,6 +35,7 @@ ALL = (
     "noises",
     "nuisances",
     "machines",
+    "agreement",
     "continual",
 )
 

@@ -143,6 +143,11 @@ _COMMANDS = {
         "Tell how models track with a fixed planner, and whether they keep the envelope.",
         VERIFIES,
     ),
+    "consistency": (
+        "consistency:consistency",
+        "Tell whether other recordings of the machine give the same numbers.",
+        VERIFIES,
+    ),
     "randomise": (
         "randomise:randomise_plants",
         "Draw a family of plants, and fit one predictor for all of them.",

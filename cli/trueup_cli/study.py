@@ -95,6 +95,20 @@ def remote_study(url: str, plant: str, request: dict[str, Any], what: str) -> di
     return _report(client, plant, {**request, **named}, what)
 
 
+def remote_consistency(
+    url: str, plant: str, version: str | None, *, diagnoses: bool
+) -> dict[str, Any]:
+    """Run a consistency study of an uploaded version, the newest diagnosis by default, as a job,
+    and return its report."""
+    client = connect(url)
+    request = {
+        "kind": "consistency",
+        "version": None if version is None else resolve_artifact(client, plant, version),
+        "diagnoses": diagnoses,
+    }
+    return _report(client, plant, request, "consistency")
+
+
 def remote_report(url: str, plant: str, request: dict[str, Any], what: str) -> dict[str, Any]:
     """Run a job of a plant on the service, and return the report that it leaves behind."""
     return _report(connect(url), plant, request, what)

@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from trueup.diagnose import answer_table, number_text, summary_text
 from trueup.diagnose.number_text import percent
-from trueup_pages import drawing
+from trueup_pages import consistency, drawing
 from trueup_pages.rendering import render
 
 ROWS = 14  # most compositions in the ranking
@@ -45,9 +45,10 @@ def view(
     command_file: str | None,
     episode_url: Callable[[str], str] | None = None,
     step: object = None,
+    name_of: Callable[[str], str] = consistency.of_digest,
 ) -> dict[str, Any]:
     """Returns the values of `diagnosis_body.html`; `step` is what to do next, on a page of a
-    service."""
+    service; `name_of` what a recording is called, by its digest."""
     where = report["where"]
     return {
         "d": report,
@@ -56,6 +57,7 @@ def view(
         "rows": answer_table.rows(report),
         "left_over": answer_table.left_over(report),
         "equations": answer_table.equations(report),
+        "estimated": consistency.of_diagnosis(report, name_of),
         "figures": figures,
         **recordings_of(figures, MODELS),
         "parts": summary_text.waterfall(report),

@@ -238,7 +238,24 @@ class Scale:
         )
 
 
-def interval(scale: Scale, value: float | None, ends: Sequence[float] | None, kind: str) -> Markup:
+class Linear:
+    """An axis from one value to another, `width` wide; what lies beyond ends at its end."""
+
+    def __init__(self, low: float, high: float, width: float = 220.0) -> None:
+        self.low, self.width = low, width
+        self.high = high if high > low else low + (abs(low) or 1.0)
+
+    def holds(self, value: float) -> bool:
+        """Whether a value has a place on it."""
+        return self.low <= value <= self.high
+
+    def __call__(self, value: float) -> float:
+        return min(max((value - self.low) / (self.high - self.low), 0.0), 1.0) * self.width
+
+
+def interval(
+    scale: Scale | Linear, value: float | None, ends: Sequence[float] | None, kind: str
+) -> Markup:
     """Draws a value as a dot with its interval, on a scale that rows share."""
     if value is None:
         return Markup("")
@@ -248,7 +265,8 @@ def interval(scale: Scale, value: float | None, ends: Sequence[float] | None, ki
             f'<line class="ends {kind}" x1="{scale(ends[0]):.1f}" x2="{scale(ends[1]):.1f}" '
             'y1="9" y2="9"/>'
         )
-    body += f'<circle class="{kind}" cx="{scale(value):.1f}" cy="9" r="4.5"/>'
+    if not isinstance(scale, Linear) or scale.holds(value):
+        body += f'<circle class="{kind}" cx="{scale(value):.1f}" cy="9" r="4.5"/>'
     return _svg(scale.width, 18, f"{short(value)}", body, "interval")
 
 

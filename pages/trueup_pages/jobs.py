@@ -17,6 +17,7 @@ NAMES = {
     "compare": "comparison",
     "openloop": "study in open loop",
     "closedloop": "study in closed loop",
+    "consistency": "consistency study",
     "randomise": "randomisation",
 }
 LOST_S = 30.0  # after which a job that nothing is before should have begun [s]

@@ -234,6 +234,7 @@ REFUSED = [
     ({"kind": "closedloop", "seeds": []}, "invalid-request"),
     ({"kind": "openloop", "horizons_steps": [0]}, "invalid-request"),
     ({"kind": "openloop", "machine": "f" * 64}, "not-found"),
+    ({"kind": "consistency", "version": "f" * 64}, "not-found"),
     ({"kind": "randomise"}, "not-identifiable"),
     ({"kind": "randomise", "diagnosis": "0" * 32}, "not-found"),
     ({"kind": "fit", "method": "blind", "training": ["0" * 64]}, "not-found"),
@@ -255,3 +256,19 @@ def test_what_cannot_be_studied_is_refused_with_what_to_do(service, fitted):
             client.wait(job)
         assert failed.value.code == "bad-randomisation"
         assert "Parameters are k, c, b" in failed.value.hint
+
+
+def test_recordings_that_another_plant_made_are_told_apart(service, fitted, tmp_path):
+    """The mismatched recording of the chapter is of a plant with other numbers."""
+    version = fitted["identify"]["artifact"][:12]
+    report = study(service, "consistency", "chapter", tmp_path, "--model", version)
+    assert report["model"] == "v2 identified"
+    assert [r["role"] for r in report["recordings"]].count("adaptation") == 2
+    differing = {n["parameter"] for n in report["numbers"] for b in n["by"] if b["contradicts"]}
+    assert "k" in differing
+    fetched = str(tmp_path / "fetched")
+    command(service, "fetch", "chapter", fetched, "--artifact", version)
+    again = study(service, "consistency", CHAPTER, tmp_path / "local", "--model", fetched)
+    names = {r["name"] for r in again["recordings"]}
+    assert names == {"adaptation", "mismatched", "validation"}  # a test recording is kept apart
+    assert [n["value"] for n in again["numbers"]] == [n["value"] for n in report["numbers"]]

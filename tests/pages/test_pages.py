@@ -72,6 +72,7 @@ def known(running, workers, tmp_path_factory):
             for kind, asked in (
                 ("openloop", {}),
                 ("closedloop", {"seeds": [0], "ticks": 40, "sweep_ticks": [0, 2]}),
+                ("consistency", {}),
                 # the ranges are those that the diagnosis supports
                 ("randomise", {"plants": 6, "steps": 60}),
             )
@@ -256,7 +257,7 @@ def test_a_recording_is_looked_through_by_keyboard(seat, pages):
     # corrected less measured
     assert float(then[4]) == pytest.approx(float(then[3]) - float(then[1]), abs=1e-3)
     assert seat.page.locator("#recordings canvas").count() == CURVES
-    other = seat.page.get_by_label("recording")
+    other = seat.page.get_by_role("combobox", name="recording")
     other.focus()
     seat.press("ArrowDown")
     assert seat.page.locator("#recordings canvas").count() == CURVES

@@ -30,6 +30,7 @@ from trueup_worker import (
     run_calibration,
     run_closedloop,
     run_compare,
+    run_consistency,
     run_diagnosis,
     run_fit,
     run_gate,
@@ -56,6 +57,7 @@ KINDS: dict[str, ModuleType] = {
     "compare": run_compare,
     "openloop": run_openloop,
     "closedloop": run_closedloop,
+    "consistency": run_consistency,
     "randomise": run_randomise,
 }
 

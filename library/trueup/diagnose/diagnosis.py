@@ -10,6 +10,7 @@ from trueup.artifact.artifact import Artifact, pack
 from trueup.canonical import Json
 from trueup.collect.bounds import Recorded
 from trueup.cores import in_parallel
+from trueup.diagnose.between_recordings import Agreement, agreement
 from trueup.diagnose.bounds import bounds
 from trueup.diagnose.by_prediction import (
     Yardstick,
@@ -24,6 +25,7 @@ from trueup.diagnose.explain import alternative, estimates, parameter_table, sha
 from trueup.diagnose.explore import explore
 from trueup.diagnose.final_refit import FinalRefit, final_refit
 from trueup.diagnose.identifiability import identifiability
+from trueup.diagnose.intervals import Minima
 from trueup.diagnose.locate import locate
 from trueup.diagnose.measure import Gap, measure
 from trueup.diagnose.model_selection import Choice, Conclusion, agreeing, select
@@ -184,7 +186,7 @@ def _diagnosis(
     refit = final_refit(recordings, problem, choice.winner)
     predictor = yardstick.corrected(refit.answer.fit, refit.scheme)
     if yardstick.is_spoilt(predictor, choice.winner):
-        refit = FinalRefit(choice.winner, problem.scheme, choice.winner.fit)
+        refit = FinalRefit.none(problem, choice.winner)
         predictor = yardstick.corrected(refit.answer.fit, refit.scheme)
     refitted = yardstick.corrected(search.base.fit)
     same = yardstick.predictor(nominal, refit.scheme) or Nominal(plant)
@@ -195,15 +197,20 @@ def _diagnosis(
     if predicts_worse(gap):
         least = min(gap.before, gap.same_numbers, gap.parameters_only)
         choice, better = fallback(choice, yardstick, least)
-        refit = FinalRefit(choice.winner, problem.scheme, choice.winner.fit)
+        refit = FinalRefit.none(problem, choice.winner)
         nearest = yardstick.predictor(choice.winner.fit) if better else None
         served = Served.CORRECTED if nearest is not None else Served.NOMINAL
         predictor = nearest or nominal_predictor(plant, same, yardstick)
         gap = measured(predictor, validation, noise, seed)
+    progress("whether recordings agree", 0.0)
+    agreed = Agreement()
+    if served is Served.CORRECTED:
+        agreed = agreement(adaptation, refit.fits, refit.answer.fit)
     progress("what the data speak against", 0.0)
     excluded, unexcited = bounds(search, choice, plant, recordings.criteria.alike)
     experiment = next_experiment(plant, quality, search, choice, Recorded.of(plant, adaptation))
-    changes, minima = patch(predictor), refit.answer.minima
+    changes = patch(predictor)
+    minima = Minima(refit.answer.minima, refit.other, agreed.wider)
     share = shares(search, choice, nominal)
     document = report(
         plant=plant,
@@ -213,12 +220,13 @@ def _diagnosis(
         answer=refit.answer,
         nominal=nominal,
         gap=gap,
-        effects=estimates(minima, refit.other, problem.fitter, plant, share),
+        effects=estimates(minima, problem.fitter, plant, share),
         alternatives=[alternative(plant, search, rival) for rival in choice.rivals],
         patch=changes,
-        parameters=parameter_table(plant, problem.fitter.directions, minima, refit.other)
+        parameters=parameter_table(plant, problem.fitter.directions, minima)
         if served is Served.CORRECTED
         else {},
+        between=agreed.document(plant, minima),
         excluded=excluded,
         unexcited=unexcited,
         shown=identifiability(recordings, problem),

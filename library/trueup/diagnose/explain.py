@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import singledispatch
 
 import numpy as np
@@ -12,7 +12,7 @@ from trueup.canonical import Json
 from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.correlations import correlations
 from trueup.diagnose.data_quality import DataQuality
-from trueup.diagnose.intervals import covariance, intervals
+from trueup.diagnose.intervals import Minima, covariance, intervals
 from trueup.diagnose.model_selection import Choice
 from trueup.diagnose.search import Search
 from trueup.diagnose.tuning import DATA_QUALITY
@@ -88,15 +88,13 @@ def in_units(scale: Scale, plant: Plant, joint: int) -> float:
 
 
 def estimates(
-    minima: Sequence[RolloutFit],
-    other: RolloutFit,
+    minima: Minima,
     fitter: Fitter,
     plant: Plant,
     share: Mapping[str, float],
 ) -> list[Json]:
-    """Effects with estimates, units, intervals and shares, of the best of some minima; `other` is
-    the same on other steps."""
-    fit, spans = minima[0], intervals(minima, other)
+    """Effects with estimates, units, intervals and shares, of the best of some minima."""
+    fit, spans = minima.best, intervals(minima)
     entries: list[Json] = []
     for term in fit.hypothesis.effects:
         values: dict[str, Json] = {}
@@ -173,7 +171,7 @@ def _inside(span: tuple[float, float], number: Number, scale: float) -> tuple[fl
     return max(span[0], number.low * scale), min(span[1], number.high * scale)
 
 
-def _described_by_family(plant: Plant) -> dict[str, dict[str, Json]]:
+def described_by_family(plant: Plant) -> dict[str, dict[str, Json]]:
     """The unit of each parameter of a family, in the declared units, and what it is called; empty
     for other models."""
     if plant.family not in families():
@@ -189,17 +187,14 @@ def _described_by_family(plant: Plant) -> dict[str, dict[str, Json]]:
     }
 
 
-def parameter_table(
-    plant: Plant, directions: Directions, minima: Sequence[RolloutFit], other: RolloutFit
-) -> dict[str, Json]:
+def parameter_table(plant: Plant, directions: Directions, minima: Minima) -> dict[str, Json]:
     """Nominal and fitted parameters with 95 % intervals; of a tree those that its data determine
     one by one, with damping and dry friction, which no mass takes the place of."""
-    fit = minima[0]
-    limits = _limits(plant.dynamics, plant, directions, minima, other)
+    limits = _limits(plant.dynamics, plant, directions, minima)
     fitted = directions.determined.copy()
     dissipates = (directions.alone >= 0) & (directions.low == 0.0)
     fitted[directions.alone[dissipates]] = True
-    described = _described_by_family(plant)
+    described = described_by_family(plant)
     return {
         name: {
             "nominal": nominal,
@@ -208,7 +203,7 @@ def parameter_table(
             **described.get(name, {}),
         }
         for (name, nominal), value, (low, high), determined in zip(
-            plant.nominal.items(), fit.values, limits, fitted, strict=False
+            plant.nominal.items(), minima.best.values, limits, fitted, strict=False
         )
         if determined
     }
@@ -216,28 +211,20 @@ def parameter_table(
 
 @singledispatch
 def _limits(
-    _: Dynamics,
-    plant: Plant,
-    directions: Directions,
-    minima: Sequence[RolloutFit],
-    other: RolloutFit,
+    _: Dynamics, plant: Plant, directions: Directions, minima: Minima
 ) -> list[tuple[float, float]]:
     """95 % intervals of the nominal form's numbers, which move one by one."""
-    spans = intervals(minima, other)
+    spans = intervals(minima)
     return [spans["", name] for name in directions.names]
 
 
 @_limits.register(CompiledTree)
 @_limits.register(SimulatedDynamics)
 def _limits_of_some(
-    _: Dynamics,
-    plant: Plant,
-    directions: Directions,
-    minima: Sequence[RolloutFit],
-    other: RolloutFit,
+    _: Dynamics, plant: Plant, directions: Directions, minima: Minima
 ) -> list[tuple[float, float]]:
-    widths = np.array([_tree_widths(plant, directions, f, other) for f in minima])
-    values = np.array([f.values[: len(plant.parameters)] for f in minima])
+    widths = np.array([_tree_widths(plant, directions, f, minima) for f in minima.fits])
+    values = np.array([f.values[: len(plant.parameters)] for f in minima.fits])
     least = np.full(len(plant.parameters), -np.inf)  # damping and friction are not negative
     alone = directions.alone >= 0
     least[directions.alone[alone]] = directions.low[alone]
@@ -245,16 +232,18 @@ def _limits_of_some(
     return list(zip(low, (values + widths).max(axis=0), strict=True))
 
 
-def _tree_widths(plant: Plant, directions: Directions, fit: RolloutFit, other: RolloutFit) -> Array:
+def _tree_widths(plant: Plant, directions: Directions, fit: RolloutFit, minima: Minima) -> Array:
     """Half of each interval of a tree's numbers, which move in combinations, `(numbers,)`."""
     count, numbers = len(directions.names), len(plant.parameters)
     spread = covariance(fit)[:count, :count]
-    moved = fit.values[:numbers] - other.values[:numbers]
+    moved = fit.values[:numbers] - minima.other.values[:numbers]
+    wider = minima.widened([("", name) for name in directions.names])
     return np.asarray(
         np.sqrt(
             np.maximum(np.einsum("ai,ab,bi->i", directions.along, spread, directions.along), 0.0)
             * TWO_SIDED**2
             + moved**2
+            + np.square(wider[:, None] * directions.along).sum(axis=0)
         )
     )
 
@@ -283,14 +272,13 @@ def shares(search: Search, choice: Choice, nominal: RolloutFit) -> dict[str, flo
 def alternative(plant: Plant, search: Search, rival: Candidate) -> Json:
     """A composition that cannot be told from the answer as it was fitted: its model, its estimates,
     and the nominal form's numbers."""
-    minima = rival.minima
-    model = Corrected(
-        plant, rival.hypothesis, tuple(float(x) for x in minima[0].values), search.problem.scheme
-    )
+    minima = Minima(rival.minima, rival.fit)
+    values = tuple(float(x) for x in minima.best.values)
+    model = Corrected(plant, rival.hypothesis, values, search.problem.scheme)
     described = model.description()
     return {
         "model": {name: described[name] for name in ("parameters", "effects", "scheme")},
-        "effects": estimates(minima, rival.fit, search.problem.fitter, plant, {}),
-        "parameters": parameter_table(plant, search.problem.fitter.directions, minima, rival.fit),
+        "effects": estimates(minima, search.problem.fitter, plant, {}),
+        "parameters": parameter_table(plant, search.problem.fitter.directions, minima),
         "correlations": correlations(rival.fit, search.problem.fitter.directions, plant),
     }

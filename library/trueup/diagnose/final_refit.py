@@ -19,12 +19,22 @@ from trueup.model.stack import Stack
 
 @dataclass(frozen=True)
 class FinalRefit:
-    """The answer as it was fitted last, its scheme of integration, and the `other` fit of the same
+    """The answer as it was fitted last, to the windows of `fits`, and the `other` fit of the same
     composition, on other steps."""
 
     answer: Candidate
-    scheme: Scheme
+    fits: WindowedFits
     other: RolloutFit
+
+    @staticmethod
+    def none(problem: SearchProblem, best: Candidate) -> FinalRefit:
+        """A search's best composition as it is."""
+        return FinalRefit(best, problem.fits, best.fit)
+
+    @property
+    def scheme(self) -> Scheme:
+        """How the answer is integrated."""
+        return self.fits.scheme
 
 
 def final_refit(recordings: Recordings, problem: SearchProblem, best: Candidate) -> FinalRefit:
@@ -36,12 +46,12 @@ def final_refit(recordings: Recordings, problem: SearchProblem, best: Candidate)
     """
     scheme, strategy = problem.scheme, problem.strategy
     if scheme.alpha == 0.0 and not strategy.physical:
-        return FinalRefit(best, scheme, best.fit)
+        return FinalRefit.none(problem, best)
     finer = scheme
     if scheme.alpha and strategy.thorough:
         finer = on_finer_steps(recordings.plant, scheme, SEARCH.finer_steps)
     shortens = not strategy.robot and not strategy.physical
-    refits: list[Candidate] = []
+    refits: list[tuple[Candidate, WindowedFits]] = []
     for part in SEARCH.shortened if shortens else SEARCH.shortened[:1]:
         last = _last_windows(recordings, problem, finer, problem.fits.length_s * part)
         refit = _refit(last, problem, best)
@@ -49,18 +59,19 @@ def final_refit(recordings: Recordings, problem: SearchProblem, best: Candidate)
         before = last.candidate(best.fit) if strategy.physical else best
         limit = SEARCH.went_astray * before.reduced_chi_square
         if refit is not None and refit.reduced_chi_square < limit:
-            refits.append(refit)
-        if refits and refits[-1].fit.proven:
+            refits.append((refit, last))
+        if refits and refits[-1][0].fit.proven:
             break
-    proven = [c for c in (*refits, best) if c.fit.proven]
+    as_it_is = best, problem.fits
+    proven = [(c, fits) for c, fits in (*refits, as_it_is) if c.fit.proven]
     fair = [
-        c
-        for c in refits
+        (c, fits)
+        for c, fits in refits
         if not strategy.physical or c.reduced_chi_square < before.reduced_chi_square
     ]
-    answer = [*proven, *fair, best][0]
-    other = refits[0].fit if refits and answer is best else best.fit
-    return FinalRefit(answer, scheme if answer is best else finer, other)
+    answer, fits = [*proven, *fair, as_it_is][0]
+    other = refits[0][0].fit if refits and answer is best else best.fit
+    return FinalRefit(answer, fits, other)
 
 
 def _last_windows(

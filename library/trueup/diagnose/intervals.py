@@ -9,6 +9,9 @@
   are added in quadrature. A number between whose corners the error is flat has the width of the
   grid on which it was found, and the others what gives way to that.
 - Where several minima cost about as much, the interval spans them all.
+- Where recordings, each fitted alone, differ by more than their own intervals allow, it holds what
+  one more recording may show: Student's t of the deviation between them is added in quadrature
+  (`between_recordings`).
 
 Source: H. White, Econometrica 50 (1982), for the variance of a model that is not exact; K.-Y.
 Liang, S. L. Zeger, Biometrika 73 (1986), by clusters.
@@ -16,7 +19,8 @@ Liang, S. L. Zeger, Biometrika 73 (1986), by clusters.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +31,7 @@ from trueup.fit.rollout_fit import TWO_SIDED, RolloutFit
 from trueup.model.block import kind
 
 Array = NDArray[np.float64]
+Name = tuple[str, str]  # (effect's term or "", parameter)
 TAIL = 0.975  # of a distribution below the end of a two-sided 95 % interval
 RIDGE = 1e-12  # of a determined direction's information
 WIDEST = 1e7  # steps of a finite difference: an interval so wide says that nothing is known
@@ -34,25 +39,42 @@ NOTHING, UNKNOWN = 1e-100, 1e100  # information that is none, and the variance t
 LEAST_CLUSTERS = 2  # one has nobody to disagree with
 
 
-def intervals(
-    minima: Sequence[RolloutFit], other: RolloutFit
-) -> dict[tuple[str, str], tuple[float, float]]:
-    """Each number's 95 % interval, by (effect or "", parameter), from the minima that the data do
-    not tell apart, the best first.
+@dataclass(frozen=True, slots=True)
+class Minima:
+    """The minima of one composition that the data do not tell apart, the best first.
 
-    `other` is the same fitted on other steps of integration.
+    `other` is the same fitted on other steps of integration; `wider` by how much half of an
+    interval grows, in quadrature, for what recordings differ by, by (effect or "", parameter).
     """
-    spans: dict[tuple[str, str], tuple[float, float]] = {}
-    for fit in minima:
-        at, width = fit.free.at(fit.values), half_widths(fit, other)
+
+    fits: Sequence[RolloutFit]
+    other: RolloutFit
+    wider: Mapping[Name, float] = field(default_factory=dict)
+
+    @property
+    def best(self) -> RolloutFit:
+        """The one that costs least."""
+        return self.fits[0]
+
+    def widened(self, names: Sequence[Name]) -> Array:
+        """By how much half of each number's interval grows, `(names,)`."""
+        return np.array([self.wider.get(name, 0.0) for name in names])
+
+
+def intervals(minima: Minima) -> dict[Name, tuple[float, float]]:
+    """Each number's 95 % interval, by (effect or "", parameter)."""
+    spans: dict[Name, tuple[float, float]] = {}
+    for fit in minima.fits:
+        at, width = fit.free.at(fit.values), half_widths(fit, minima.other)
         for name, x in zip(fit.free.names, at, strict=True):
-            low, high = float(x) - width[name], float(x) + width[name]
+            half = float(np.hypot(width[name], minima.wider.get(name, 0.0)))
+            low, high = float(x) - half, float(x) + half
             known = spans.get(name, (low, high))
             spans[name] = min(low, known[0]), max(high, known[1])
     return spans
 
 
-def half_widths(fit: RolloutFit, other: RolloutFit) -> dict[tuple[str, str], float]:
+def half_widths(fit: RolloutFit, other: RolloutFit) -> dict[Name, float]:
     """Half of each 95 % interval of one minimum, by (effect or "", parameter)."""
     if not len(fit.free.rows):
         return {}

@@ -7,7 +7,7 @@ from typing import Any
 
 from trueup.collect.step_warning import off_step
 from trueup.diagnose.number_text import short
-from trueup.diagnose.summary_text import faults
+from trueup.diagnose.summary_text import faults, name
 from trueup.diagnose.tuning_of_answers import EVIDENCE
 
 
@@ -53,6 +53,14 @@ def warnings(document: Mapping[str, Any]) -> list[str]:
             f"worse ({short(gap['parameters_only'])}, was {short(gap['before'])}): "
             "do not use those parameters alone."
         )
+    differ = [
+        _of_number(entry) for entry in document.get("between_recordings", ()) if entry["widens"]
+    ]
+    if differ:
+        sentences.append(
+            f"Recordings, each fitted alone, differ in {', '.join(differ)}: the interval is "
+            "widened by the variance between them, and holds what one more recording would show."
+        )
     ramps = [name for name, h in evidence.get("holds", {}).items() if _found_to_be_ramp(h)]
     if ramps:
         sentences.append(
@@ -76,6 +84,14 @@ def warnings(document: Mapping[str, Any]) -> list[str]:
             "cost is too rough there for a proof."
         )
     return sentences
+
+
+def _of_number(entry: Mapping[str, Any]) -> str:
+    """What a number is called that recordings differ in."""
+    label = entry["label"].replace("_", " ")
+    if entry["effect"] is None:
+        return label if label == entry["parameter"] else f"{label} {entry['parameter']}"
+    return f"{name({k: entry[k] for k in ('effect', 'joint') if k in entry})} ({label})"
 
 
 def _found_to_be_ramp(hold: Mapping[str, Any]) -> bool:

@@ -70,6 +70,12 @@ class EvidenceTuning:
     )
     worth_naming: float = number(0.05, "of the gap", "A smaller part is not named in a sentence.")
     most_of_it: float = number(0.5, "of the gap", "More than that is called most of it.")
+    differs: float = number(
+        0.05, "probability", "By chance: estimates of recordings that differ so widen the interval."
+    )
+    contradicts: float = number(
+        0.01, "probability", "By chance: recordings that differ so are worth a word."
+    )
     off_minimum: float = number(
         0.1, "half-widths", "A fit that ended further from its minimum is worth a word."
     )

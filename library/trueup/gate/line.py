@@ -36,8 +36,8 @@ SAME = 0.01
 # candidates not accepted that are scored beside a new one, the newest; the log's verifier holds
 # decisions to it
 BESIDE = 20
-# kinds of jobs that show candidates' errors on episodes without any gate
-SHOWING = ("compare", "openloop")
+# kinds of jobs that show how candidates do on episodes without any gate
+SHOWING = ("compare", "openloop", "consistency")
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,6 +35,7 @@ JOBS: Mapping[str, Operation] = {
     "compare": Operation.MONITORING,
     "openloop": Operation.MONITORING,
     "closedloop": Operation.MONITORING,
+    "consistency": Operation.MONITORING,
     "randomise": Operation.CORRECTION,
 }
 

@@ -39,6 +39,7 @@ PURPOSES = (
     "compare",
     "openloop",
     "closedloop",
+    "consistency",
     "randomise",
 )
 T = TypeVar("T")

@@ -14,6 +14,7 @@ from trueup_service.actions.submission import Submission, digests_of, require_so
 from trueup_service.actions.submit_study import (
     submit_closedloop,
     submit_comparison,
+    submit_consistency,
     submit_openloop,
 )
 from trueup_service.actions.submit_trial import submit_gate
@@ -196,4 +197,5 @@ SUBMIT = {
     "compare": submit_comparison,
     "openloop": submit_openloop,
     "closedloop": submit_closedloop,
+    "consistency": submit_consistency,
 }

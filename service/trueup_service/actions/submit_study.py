@@ -11,6 +11,7 @@ from trueup_service.actions import find
 from trueup_service.actions.submission import Submission, digests_of, require_some
 from trueup_service.registry.records import ArtifactRecord, EpisodeRecord, JobRecord
 
+TOLD = 10  # diagnoses beside a consistency study
 # as which a version stands in for the machine, the first that there is
 STAND_INS = ("corrected", "identified", "nominal")
 
@@ -50,6 +51,25 @@ def submit_closedloop(s: Submission) -> JobRecord:
         require_some(episodes, Role.ADAPTATION, "adaptation episode to take the travel from")
     frozen = {**s.request, **_versions(s), "episodes": list(digests_of(episodes))}
     return s.enqueue("closedloop", frozen)
+
+
+def submit_consistency(s: Submission) -> JobRecord:
+    """Submit a study of whether recordings agree on the numbers of a version, by default of what
+    describes the machine best; the newest diagnoses of the plant are told beside it.
+
+    Raises NotFound, RoleRefused, NotIdentifiable.
+    """
+    find.plant_digest(s.tx, s.plant)
+    named: Any = s.request.get("version")
+    version = find.artifact(s.tx, s.plant, named) if named else _stand_in(s)
+    earlier = s.tx.jobs.newest_succeeded(s.plant, "diagnose", TOLD)
+    frozen: dict[str, Json] = {
+        "versions": [version.digest],
+        "diagnoses": s.request["diagnoses"],
+        "earlier": [job.id for job in reversed(earlier)],
+    }
+    episodes = s.episodes(Role.ADAPTATION, Role.VALIDATION)
+    return _submit_on_shown(s, "consistency", frozen, episodes)
 
 
 def _versions(s: Submission) -> dict[str, Json]:

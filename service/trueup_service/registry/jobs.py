@@ -55,6 +55,20 @@ class Jobs(Repository[JobRecord]):
         """The newest job of a kind that has succeeded."""
         return self._last("created_at", plant=plant, kind=kind, state=JobState.SUCCEEDED)
 
+    def newest_succeeded(self, plant: str, kind: str, limit: int) -> list[JobRecord]:
+        """The newest jobs of a kind that have succeeded, the newest first."""
+        query = (
+            select(t.jobs)
+            .where(
+                t.jobs.c.plant == plant,
+                t.jobs.c.kind == kind,
+                t.jobs.c.state == JobState.SUCCEEDED,
+            )
+            .order_by(t.jobs.c.created_at.desc())
+            .limit(limit)
+        )
+        return [self._record(row) for row in self._connection.execute(query)]
+
     def last_matching(
         self, plant: str, kind: str, matches: Callable[[Mapping[str, Any]], bool]
     ) -> JobRecord | None:

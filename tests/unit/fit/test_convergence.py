@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.simulated import recorded
 from trueup.diagnose.data_quality import assess
-from trueup.diagnose.intervals import half_widths, intervals
+from trueup.diagnose.intervals import Minima, half_widths, intervals
 from trueup.fit.convergence import PROVEN, converge, minima
 from trueup.fit.fitter import Fitter
 from trueup.fit.free_numbers import Directions
@@ -136,13 +136,13 @@ def test_intervals_hold_the_truth_and_span_every_minimum(posed):
     fitter, data, fit, trial = posed
     found = minima(fitter, data, fit)
     assert len(found) == 1
-    low, high = intervals(found, found[0])["coulomb_friction", "level"]
+    low, high = intervals(Minima(found, found[0]))["coulomb_friction", "level"]
     truth = trial.machine.imperfections["coulomb_friction"]["level"]
     assert low < truth < high
     elsewhere = replace(
         found[0], values=found[0].free.moved(found[0].values, np.array([0.0, 0.0, 0.0, high - low]))
     )
-    lower, higher = intervals([found[0], elsewhere], found[0])["coulomb_friction", "level"]
+    lower, higher = intervals(Minima([found[0], elsewhere], found[0]))["coulomb_friction", "level"]
     assert lower <= low
     assert higher > high
 

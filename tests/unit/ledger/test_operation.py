@@ -11,6 +11,7 @@ OPERATIONS = {
     "calibrate": "monitoring", "watch": "monitoring",
     "validate": "monitoring", "blindtrial": "monitoring", "recompute": "monitoring",
     "compare": "monitoring", "openloop": "monitoring", "closedloop": "monitoring",
+    "consistency": "monitoring",
     "randomise": "model correction",
 }  # fmt: skip
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import orjson
 from fastapi import Request, Response
 
-from trueup_pages import closed_loop, open_loop, randomisation
+from trueup_pages import closed_loop, consistency, open_loop, randomisation
 from trueup_service.actions import find
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import guarded
@@ -19,6 +19,7 @@ from trueup_service.http.pages.page import begin_job, go, show
 from trueup_service.http.routers.jobs import JobId
 from trueup_service.http.schemas.jobs import (
     ClosedloopRequest,
+    ConsistencyRequest,
     OpenloopRequest,
     RandomisationRequest,
 )
@@ -39,7 +40,7 @@ class Study:
     body: str
     view: Callable[[Mapping[str, Any]], dict[str, Any]]
     report_page: Callable[[Mapping[str, Any]], str]
-    request: OpenloopRequest | ClosedloopRequest | RandomisationRequest
+    request: OpenloopRequest | ClosedloopRequest | ConsistencyRequest | RandomisationRequest
 
 
 STUDIES: Mapping[str, Study] = {
@@ -57,6 +58,13 @@ STUDIES: Mapping[str, Study] = {
         closed_loop.report_page,
         ClosedloopRequest(kind="closedloop"),
     ),
+    "consistency": Study(
+        "consistency study",
+        consistency.BODY,
+        consistency.view,
+        consistency.report_page,
+        ConsistencyRequest(kind="consistency"),
+    ),
     "randomise": Study(
         "randomisation",
         randomisation.BODY,
@@ -65,7 +73,7 @@ STUDIES: Mapping[str, Study] = {
         RandomisationRequest(kind="randomise"),
     ),
 }
-Kind = Literal["openloop", "closedloop", "randomise"]
+Kind = Literal["openloop", "closedloop", "consistency", "randomise"]
 
 
 @router.get("/plants/{plant}/studies/{job}")

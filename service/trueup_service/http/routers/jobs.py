@@ -31,6 +31,7 @@ from trueup_service.http.schemas.jobs import (
     CalibrationRequest,
     ClosedloopRequest,
     ComparisonRequest,
+    ConsistencyRequest,
     DiagnosisRequest,
     FitRequest,
     GateRequest,
@@ -61,6 +62,7 @@ JobRequest = Annotated[
     | ComparisonRequest
     | OpenloopRequest
     | ClosedloopRequest
+    | ConsistencyRequest
     | RandomisationRequest,
     Body(discriminator="kind"),
 ]

@@ -230,6 +230,21 @@ class ClosedloopRequest(RequestBody):
     )
 
 
+class ConsistencyRequest(RequestBody):
+    """Tell whether recordings agree on the numbers of a version: each recording, day and condition
+    alone.
+
+    `version` is a digest, null for the newest diagnosis, else the newest identification, else the
+    nominal model. `episodes` are null for all adaptation and validation episodes. With `diagnoses`
+    days, conditions or halves of them are diagnosed from the start, too.
+    """
+
+    kind: Literal["consistency"]
+    version: Digest | None = None
+    episodes: list[Digest] | None = None
+    diagnoses: bool = False
+
+
 class RandomisationRequest(RequestBody):
     """Draw plants from a family, simulate them, and fit the parameter-blind and the conditioned
     predictor, which become candidates.
