@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from trueup_cli.exits import MEANING
-from trueup_cli.main import app
+from trueup_cli.main import _COMMANDS, app, explain_wholly
 
 HEAD = """# Commands
 
@@ -24,10 +24,12 @@ standard error. Errors say there what is wrong, under a stable code, and what to
 def page() -> str:
     """The page's text."""
     codes = "\n".join(f"| {code} | {meaning} |" for code, meaning in MEANING.items())
+    for name in _COMMANDS:
+        explain_wholly(name)
     written = app.generate_docs(
         output_format="markdown", flatten_commands=True, heading_level=2, usage_name="trueup"
     )
-    lines = [line.rstrip() for line in written[written.index("## trueup serve") :].splitlines()]
+    lines = [line.rstrip() for line in written[written.index("## trueup try") :].splitlines()]
     return HEAD.format(codes=codes) + "\n".join(lines).rstrip() + "\n"
 
 

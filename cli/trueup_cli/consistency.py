@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from trueup.artifact.model import load
-from trueup.diagnose.case import read_case, recordings_of
+from trueup.diagnose.case import names_of, read_case
 from trueup.diagnose.consistency import consistency as study
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.processes import in_processes
@@ -16,7 +16,7 @@ from trueup.model.predictor import Predictor
 from trueup_cli.options import DEFAULT_URL, Json, Url
 from trueup_cli.show import progress, table
 from trueup_cli.study import Presentation, folder_of, is_case, remote_consistency
-from trueup_pages.consistency import names_of, report_page, sentence
+from trueup_pages import consistency as page
 
 
 def consistency(
@@ -58,7 +58,7 @@ def consistency(
         document = _run_locally(Path(target), model, diagnoses=diagnoses)
     else:
         document = remote_consistency(url, target, model, diagnoses=diagnoses)
-    Presentation(report_page, sentence, _show).tell(
+    Presentation(page.report_page, page.sentence, _show).tell(
         document, out or folder_of(target, "consistency"), in_json=as_json_
     )
 
@@ -75,19 +75,18 @@ def _run_locally(case: Path, folder: str | None, *, diagnoses: bool) -> dict[str
         else:
             inner = Path(folder) / "model"
             predictor = load(inner if inner.is_dir() else Path(folder)).predictor
-        files = zip(episodes, recordings_of(case), strict=True)
         return study(
             predictor,
             episodes,
             lambda stage, part: bar(part, stage),
             diagnoses=diagnoses,
-            names={e.digest: file.stem for e, file in files},
+            names=names_of(case, episodes),
             solve=in_processes,
         )
 
 
 def _show(document: dict[str, Any]) -> None:
-    names = names_of(document)
+    names = page.names_of(document)
     table(
         "Numbers that recordings differ on",
         ["number", "by", "recordings", "value", "from", "to"],

@@ -21,7 +21,7 @@ from trueup.gate.recompute import differences
 from trueup.model.nominal_form import resolved
 from trueup.model.predictor import Predictor, predict_episode
 from trueup.model.windows import starts_every
-from trueup_cli.embedded_service import embedded_service
+from trueup_cli.embedded_service import admin_token, embedded_service
 from trueup_cli.pictures.before_and_after import AFTER, BEFORE, Trace, before_and_after
 from trueup_cli.registry import result_of, run_job, show_decision
 from trueup_cli.replay import recompute
@@ -78,9 +78,7 @@ def demo(case: Path | None = None, *, work: Path = DEMO) -> None:
     plant = resolved(json.loads((folder / "plant.json").read_text()), folder)
     shown = Case(folder, work, plant)
     with embedded_service(work / "data") as (url, _):
-        client = Client(
-            url, actor="demo", token=(work / "data" / "admin.token").read_text().strip()
-        )
+        client = Client(url, actor="demo", token=admin_token(work / "data"))
         _upload(client, shown)
         best = _fit_and_gate(client, shown)
         if best is None:

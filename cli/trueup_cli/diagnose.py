@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import trueup
 from trueup.artifact.model import save
 from trueup.cores import one_arena
-from trueup.diagnose.case import read_case
+from trueup.diagnose.case import names_of, read_case
 from trueup.diagnose.diagnosis import Diagnosis, diagnose
 from trueup.diagnose.figures import figures
 from trueup.diagnose.processes import in_processes
@@ -56,10 +57,11 @@ def run(
     with progress("diagnose") as bar:
         bar(0.0, "reading the episodes")
         plant, episodes = read_case(case)
+        names = names_of(case, episodes)
         diagnosis = diagnose(
             plant, episodes, seed, lambda stage, part: bar(part, stage), in_processes
         )
-    write(diagnosis, episodes, out)
+    write(diagnosis, episodes, out, names)
     report = diagnosis.document
     files = {
         "report": out / "report.html",
@@ -70,13 +72,13 @@ def run(
         as_json(
             {
                 "sentence": sentence(report),
-                "warnings": warnings(report),
+                "warnings": warnings(report, names),
                 "report": dict(report),
                 "files": {what: str(to) for what, to in files.items()},
             }
         )
         return
-    show_diagnosis(report)
+    show_diagnosis(report, names)
     if diagnosis.choice.rivals:
         say(
             "What would part the explanations: trueup excite {} --model {} --split --out {}",
@@ -87,7 +89,9 @@ def run(
     say("{}", "   ".join(f"{what}: {where}" for what, where in files.items()))
 
 
-def write(diagnosis: Diagnosis, episodes: list[Episode], out: Path) -> None:
+def write(
+    diagnosis: Diagnosis, episodes: list[Episode], out: Path, names: Mapping[str, str]
+) -> None:
     """Writes the report as JSON and as a page, the model, the randomisation ranges that it
     supports, and the next experiment's command."""
     save(diagnosis.artifact(episodes), out / "model")
@@ -98,7 +102,7 @@ def write(diagnosis: Diagnosis, episodes: list[Episode], out: Path) -> None:
     if ranges is not None:
         (out / RANDOMISATION_FILE).write_text(json.dumps(ranges, indent=1) + "\n")
     (out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
-    (out / "report.html").write_text(report_page(report, figures(diagnosis)))
+    (out / "report.html").write_text(report_page(report, figures(diagnosis), names=names))
 
 
 def write_mjcf(diagnosis: Diagnosis, case: Path, out: Path) -> dict[str, Path]:

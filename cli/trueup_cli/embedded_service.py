@@ -60,6 +60,12 @@ def embedded_service(
             sys.exit(ended[0])
 
 
+def admin_token(data: Path) -> str:
+    """The token of an embedded service's first admin: the one that is set, else that of its
+    folder."""
+    return os.environ.get("TRUEUP_ADMIN_TOKEN") or (data / "admin.token").read_text().strip()
+
+
 def wait_until_ended(child: subprocess.Popen[bytes]) -> None:
     """Waits until a service ends.
 

@@ -145,7 +145,7 @@ def show(case: Examined, mended: Path | None, *, json_: bool) -> None:
         (
             str(f.fault),
             " ".join(filter(None, (f.channel, f"at {f.joint}" if f.joint else None))) or "all",
-            _files(f, names),
+            affected(f, names),
             _span(f),
             f"{100 * f.confidence:.0f} %",
             f.evidence,
@@ -176,7 +176,8 @@ def show(case: Examined, mended: Path | None, *, json_: bool) -> None:
         say("Mend it: trueup doctor {} --mend OUT", case.folder)
 
 
-def _files(finding: Finding, names: Mapping[str, str]) -> str:
+def affected(finding: Finding, names: Mapping[str, str]) -> str:
+    """The recordings of a finding by their names; of several how many, where all have it."""
     every = len(finding.episodes) == len(names) and len(names) > 1
     return f"all {len(names)}" if every else files_of(finding, names)
 

@@ -44,7 +44,10 @@ class CaseOptions:
     ] = None
     model: Annotated[
         Path | None,
-        Parameter(help="MJCF or URDF of the robot; default: the one that lies beside, if any"),
+        Parameter(
+            name=["--model", "--mjcf", "--urdf"],
+            help="MJCF or URDF of the robot; default: the one that lies beside, if any",
+        ),
     ] = None
     joint: Annotated[str | None, Parameter(help="Name of the joint, if several move")] = None
     mapping: Annotated[

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import sys
 
-from cyclopts import App, CycloptsError, CycloptsPanel
+from cyclopts import App, CycloptsError, CycloptsPanel, Group
 
 from trueup import __version__
 from trueup_cli.exits import (
@@ -41,178 +41,91 @@ app = App(
     error_formatter=_misuse_panel,
 )
 
-_COMMANDS = {
-    "serve": ("run:serve", "Run the service, with a worker beside it.", LOCAL),
-    "look": ("look:look", "Open the service in a browser, signed in.", CALLS_SERVICE),
-    "work": ("run:work", "Run one worker.", LOCAL),
-    "migrate": ("run:migrate", "Bring the database's schema up to date.", LOCAL),
-    "kernels": ("run:kernels", "Compile the rollout kernels into the cache.", LOCAL),
-    "plant": ("plant:app", "Register and look at plants.", CALLS_SERVICE),
-    "upload": ("upload:upload", "Upload recordings of any format.", CALLS_SERVICE),
-    "fit": ("registry:fit", "Fit a candidate from adaptation episodes.", CALLS_SERVICE),
-    "diagnosis": (
-        "registry:diagnosis",
-        "Diagnose uploaded episodes, as a job of the service.",
-        CALLS_SERVICE,
-    ),
-    "gate": ("registry:gate", "Judge a candidate against what serves, by a gate.", CALLS_SERVICE),
-    "versions": ("registry:versions", "List the versions of a plant's model.", CALLS_SERVICE),
-    "decisions": ("registry:decisions", "List what gates decided.", CALLS_SERVICE),
-    "jobs": (
-        "jobs:jobs",
-        "Show what is under way and what has ended, or cancel it.",
-        CALLS_SERVICE,
-    ),
-    "calibrate": (
-        "monitor:calibrate",
-        "Calibrate a monitor of what serves, for a promised rate of false alarms.",
-        CALLS_SERVICE,
-    ),
-    "monitor": (
-        "monitor:monitor",
-        "Show whether a plant's model is watched, and what its monitor saw.",
-        CALLS_SERVICE,
-    ),
-    "alarms": ("monitor:alarms", "List alarms and what changed, or close an alarm.", CALLS_SERVICE),
-    "policy": (
-        "monitor:policy",
-        "Show or declare what may happen to a plant's model without a person.",
-        CALLS_SERVICE,
-    ),
-    "serving": ("serving:serving", "Show what serves, or what served when.", CALLS_SERVICE),
-    "promote": ("serving:promote", "Serve the candidate of an accepted decision.", VERIFIES),
-    "approve": (
-        "serving:approve",
-        "Approve a decision, where a promotion takes two people.",
-        VERIFIES,
-    ),
-    "rollback": (
-        "serving:rollback",
-        "Serve what served before, after its switchback test.",
-        VERIFIES,
-    ),
-    "fetch": ("serving:fetch", "Fetch a model and verify every byte.", VERIFIES),
-    "convert": (
-        "convert:convert",
-        "Write a model for Isaac Lab, mjlab or ros2_control, or as ONNX, FMU or MJCF.",
-        LOCAL,
-    ),
-    "mlflow": (
-        "mlflow:app",
-        "Export versions to an MLflow registry, or import them from one.",
-        VERIFIES,
-    ),
-    "oci": (
-        "oci:app",
-        "Push models and archives to an OCI registry, or pull them from one.",
-        VERIFIES_LOCALLY,
-    ),
-    "evidence": (
-        "channels:evidence",
-        "List the evidence on a version, by stage, or add to it.",
-        CALLS_SERVICE,
-    ),
-    "channels": (
-        "channels:channels",
-        "Show what each channel serves, or declare a channel.",
-        CALLS_SERVICE,
-    ),
-    "release": (
-        "channels:release",
-        "Serve a version on a channel; by default the one that serves.",
-        VERIFIES,
-    ),
-    "init": ("init:init", "Make a case folder from recordings alone, such as a ROS 2 bag.", LOCAL),
-    "diagnose": (
-        "diagnose:run",
-        "Find where the gap lies, which effect causes it, and how far it shrinks.",
-        LOCAL,
-    ),
-    "blindtrial": (
-        "blindtrial:run",
-        "Hide effects in simulated machines like yours, and say how often a diagnosis finds them.",
-        VERIFIES,
-    ),
-    "openloop": (
-        "openloop:openloop",
-        "Tell how far models' rollouts go astray, beside the bound on it.",
-        VERIFIES,
-    ),
-    "closedloop": (
-        "closedloop:closedloop",
-        "Tell how models track with a fixed planner, and whether they keep the envelope.",
-        VERIFIES,
-    ),
-    "consistency": (
-        "consistency:consistency",
-        "Tell whether other recordings of the machine give the same numbers.",
-        VERIFIES,
-    ),
-    "randomise": (
-        "randomise:randomise_plants",
-        "Draw a family of plants, and fit one predictor for all of them.",
-        VERIFIES,
-    ),
-    "excite": (
-        "excite:excite",
-        "Design a bounded excitation that is safe under every plausible model.",
-        LOCAL,
-    ),
-    "predict": ("predict:predict", "Roll a model out over an episode.", LOCAL),
-    "login": ("access:login", "Store a token for a service.", CALLS_SERVICE),
-    "whoami": ("access:whoami", "Show who you are to the service.", CALLS_SERVICE),
-    "token": ("access:tokens", "Issue, list and revoke tokens.", CALLS_SERVICE),
-    "project": ("access:projects", "Create and list projects.", CALLS_SERVICE),
-    "webhook": ("webhooks:app", "Tell other services what happens.", CALLS_SERVICE),
-    "audit": ("audit:app", "Print or verify the audit log.", VERIFIES),
-    "replay": ("replay:replay", "Recompute a decision, and check that it agrees.", VERIFIES),
-    "backup": (
-        "archives:backup",
-        "Write a backup of the whole registry, while the service runs.",
-        VERIFIES_LOCALLY,
-    ),
-    "restore": ("archives:restore", "Restore a backup into empty storage.", VERIFIES_LOCALLY),
-    "export": ("archives:export", "Export a plant with its whole history.", LOCAL),
-    "import": (
-        "archives:import_",
-        "Import an exported plant, once it is verified.",
-        VERIFIES_LOCALLY,
-    ),
-    "gc": ("archives:gc", "Remove bytes that no row names.", LOCAL),
-    "fsck": (
-        "fsck:fsck",
-        "Check this installation's storage: log, rows and bytes.",
-        VERIFIES_LOCALLY,
-    ),
-    "keygen": ("run:keygen", "Make a signing key for a log.", LOCAL),
-    "completion": (
-        "completion:completion",
-        "Print or install shell completion of commands, options and plants.",
-        LOCAL,
-    ),
-    "doctor": (
-        "doctor:doctor",
-        "Show what is installed, and what a missing part is needed for.",
-        LOCAL,
-    ),
-    "identifiability": (
-        "identifiability:identifiability",
-        "Show what the recordings of a case can show, before anything is sought.",
-        LOCAL,
-    ),
-    "effects": (
-        "effects:effects",
-        "List the effects that a search tries, and check one of your own by the laws.",
-        LOCAL,
-    ),
-    "chapter": (
-        "chapter:chapter",
-        "Reproduce the chapter's figures, beside the published digits.",
-        LOCAL,
-    ),
-    "demo": ("demo:demo", "Run the main job on a real recording.", LOCAL),
+# by what they are for: name, where it is, what it does, exit codes
+_GROUPS: dict[str, dict[str, tuple[str, str, tuple[int, ...]]]] = {
+    "On your own recordings": {
+        "try": ("first_try:first_try", "Walk through the main job, asking at each step.", LOCAL),
+        "init": ("init:init", "Make a case folder from recordings, as of a ROS 2 bag.", LOCAL),
+        "doctor": ("doctor:doctor", "Look for faults in a log, or at the installation.", LOCAL),
+        "diagnose": ("diagnose:run", "Find where the gap lies, and which effect causes it.", LOCAL),
+        "consistency": (
+            "consistency:consistency",
+            "Tell whether other recordings give the same numbers.",
+            VERIFIES,
+        ),
+        "identifiability": (
+            "identifiability:identifiability",
+            "Show what the recordings of a case can show.",
+            LOCAL,
+        ),
+        "excite": ("excite:excite", "Design a bounded excitation that is safe.", LOCAL),
+        "predict": ("predict:predict", "Roll a model out over an episode.", LOCAL),
+        "convert": ("convert:convert", "Write a model for another tool.", LOCAL),
+        "effects": ("effects:effects", "List the effects, or check one of your own.", LOCAL),
+        "demo": ("demo:demo", "Run the main job on a real recording.", LOCAL),
+        "chapter": ("chapter:chapter", "Reproduce the chapter's figures.", LOCAL),
+    },
+    "Find and correct": {
+        "plant": ("plant:app", "Register and look at plants.", CALLS_SERVICE),
+        "upload": ("upload:upload", "Upload recordings of any format.", CALLS_SERVICE),
+        "diagnosis": ("registry:diagnosis", "Diagnose uploaded episodes.", CALLS_SERVICE),
+        "fit": ("registry:fit", "Fit a candidate from adaptation episodes.", CALLS_SERVICE),
+        "versions": ("registry:versions", "List a plant's versions.", CALLS_SERVICE),
+        "gate": ("registry:gate", "Judge a candidate against what serves.", CALLS_SERVICE),
+        "decisions": ("registry:decisions", "List what gates decided.", CALLS_SERVICE),
+        "jobs": ("jobs:jobs", "Show or cancel what is under way.", CALLS_SERVICE),
+    },
+    "Serve and go back": {
+        "serving": ("serving:serving", "Show what serves, or what served when.", CALLS_SERVICE),
+        "promote": ("serving:promote", "Serve the candidate of an accepted decision.", VERIFIES),
+        "approve": ("serving:approve", "Approve, where a promotion takes two.", VERIFIES),
+        "rollback": ("serving:rollback", "Serve what served before, tested first.", VERIFIES),
+        "fetch": ("serving:fetch", "Fetch a model and verify every byte.", VERIFIES),
+        "evidence": ("channels:evidence", "List or add evidence on a version.", CALLS_SERVICE),
+        "channels": ("channels:channels", "Show or declare channels.", CALLS_SERVICE),
+        "release": ("channels:release", "Serve a version on a channel.", VERIFIES),
+    },
+    "Watch": {
+        "calibrate": ("monitor:calibrate", "Calibrate a monitor of what serves.", CALLS_SERVICE),
+        "monitor": ("monitor:monitor", "Show what a plant's monitor saw.", CALLS_SERVICE),
+        "alarms": ("monitor:alarms", "List alarms, or close one.", CALLS_SERVICE),
+        "policy": ("monitor:policy", "Show or declare what needs no person.", CALLS_SERVICE),
+        "webhook": ("webhooks:app", "Tell other services what happens.", CALLS_SERVICE),
+    },
+    "Study": {
+        "openloop": ("openloop:openloop", "Errors of rollouts, beside their bound.", VERIFIES),
+        "closedloop": ("closedloop:closedloop", "Tracking with a fixed planner.", VERIFIES),
+        "randomise": ("randomise:randomise_plants", "Fit for a family of plants.", VERIFIES),
+        "blindtrial": ("blindtrial:run", "How often a diagnosis is right here.", VERIFIES),
+    },
+    "Hold to account": {
+        "audit": ("audit:app", "Print or verify the audit log.", VERIFIES),
+        "replay": ("replay:replay", "Recompute a decision.", VERIFIES),
+        "export": ("archives:export", "Export a plant with its history.", LOCAL),
+        "import": ("archives:import_", "Import an exported plant.", VERIFIES_LOCALLY),
+        "backup": ("archives:backup", "Back up the whole registry.", VERIFIES_LOCALLY),
+        "restore": ("archives:restore", "Restore a backup.", VERIFIES_LOCALLY),
+        "fsck": ("fsck:fsck", "Check this installation's storage.", VERIFIES_LOCALLY),
+        "gc": ("archives:gc", "Remove bytes that no row names.", LOCAL),
+        "mlflow": ("mlflow:app", "Exchange versions with an MLflow registry.", VERIFIES),
+        "oci": ("oci:app", "Exchange models with an OCI registry.", VERIFIES_LOCALLY),
+    },
+    "Run the service": {
+        "serve": ("run:serve", "Run the service, with a worker beside it.", LOCAL),
+        "work": ("run:work", "Run one worker.", LOCAL),
+        "look": ("look:look", "Open the service in a browser, signed in.", CALLS_SERVICE),
+        "migrate": ("run:migrate", "Bring the database's schema up to date.", LOCAL),
+        "kernels": ("run:kernels", "Compile the rollout kernels into the cache.", LOCAL),
+        "keygen": ("run:keygen", "Make a signing key for a log.", LOCAL),
+        "login": ("access:login", "Store a token for a service.", CALLS_SERVICE),
+        "whoami": ("access:whoami", "Show who you are to the service.", CALLS_SERVICE),
+        "token": ("access:tokens", "Issue, list and revoke tokens.", CALLS_SERVICE),
+        "project": ("access:projects", "Create and list projects.", CALLS_SERVICE),
+        "completion": ("completion:completion", "Install shell completion.", LOCAL),
+    },
 }
-# which have help and exit codes of their own
+_COMMANDS = {name: of for commands in _GROUPS.values() for name, of in commands.items()}
+# which have exit codes of their own
 APPS = (
     "plant:app",
     "audit:app",
@@ -222,12 +135,22 @@ APPS = (
     "access:projects",
     "webhooks:app",
 )
-for _name, (_target, _help, _codes) in _COMMANDS.items():
-    app.command(
-        f"trueup_cli.{_target}",
-        name=_name,
-        **({} if _target in APPS else {"help": _help, "help_epilogue": exit_codes(_codes)}),
-    )
+for _place, (_title, _commands) in enumerate(_GROUPS.items()):
+    _group = Group(_title, sort_key=_place)
+    for _name, (_target, _help, _codes) in _commands.items():
+        app.command(
+            f"trueup_cli.{_target}",
+            name=_name,
+            help=_help,
+            group=_group,
+            **({} if _target in APPS else {"help_epilogue": exit_codes(_codes)}),
+        )
+
+
+def explain_wholly(name: str) -> None:
+    """Lets the help of a command be its whole docstring, and not the line that a list has."""
+    if _COMMANDS[name][0] not in APPS:
+        app[name].help = None
 
 
 def _load_own_files() -> None:
@@ -254,6 +177,9 @@ def main() -> None:
     try:
         try:
             _load_own_files()
+            asked = next(iter(sys.argv[1:]), "")
+            if asked in _COMMANDS:
+                explain_wholly(asked)
             app()
         finally:
             sys.stdout.flush()

@@ -25,7 +25,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rich.table import Table
 from rich.text import Span, Text
 
-from trueup.diagnose.summary_text import sentence
+from trueup.diagnose.summary_text import UNNAMED, sentence
 from trueup.diagnose.summary_warnings import warnings
 
 # in a pipe, lines are not broken at a terminal's width
@@ -82,10 +82,10 @@ def as_json(value: Any) -> None:
     print(json.dumps(value, indent=2, default=str))
 
 
-def show_diagnosis(report: Mapping[str, Any]) -> None:
-    """Prints a diagnosis's answer, and its warnings."""
+def show_diagnosis(report: Mapping[str, Any], names: Mapping[str, str] = UNNAMED) -> None:
+    """Prints a diagnosis's answer, and its warnings; `names` are those of recordings by digest."""
     say("{}", sentence(report))
-    for warning in warnings(report):
+    for warning in warnings(report, names):
         say("[yellow]{}[/]", warning)
 
 

@@ -3,19 +3,18 @@ agree: each number by the recordings, days and conditions that say something of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from markupsafe import Markup
 
 from trueup.diagnose.number_text import plus_minus, short, unit
-from trueup.diagnose.summary_text import composition, name
+from trueup.diagnose.summary_text import composition, name, recording_name
 from trueup_pages import drawing
 from trueup_pages.rendering import render
 
 BODY = "consistency_body.html"
-DIGITS = 12  # of a digest that stands for a recording without a name
 MOST_NAMED = 3  # numbers that the sentence names
 WIDE = 8.0  # times the narrowest interval: a wider one does not stretch the axis
 Names = Mapping[str, str]
@@ -52,14 +51,10 @@ class Estimated:
     contradicts: bool
 
 
-def of_digest(digest: str) -> str:
-    """What a recording without a name is called."""
-    return digest[:DIGITS]
-
-
 def names_of(document: Mapping[str, Any]) -> dict[str, str]:
     """What a study's recordings are called, by digest."""
-    return {r["sha256"]: r.get("name") or of_digest(r["sha256"]) for r in document["recordings"]}
+    named = {r["sha256"]: r["name"] for r in document["recordings"] if r.get("name")}
+    return {r["sha256"]: recording_name(r["sha256"], named) for r in document["recordings"]}
 
 
 def sentence(document: Mapping[str, Any]) -> str:
@@ -172,7 +167,7 @@ def estimated(numbers: Sequence[Mapping[str, Any]], names: Names) -> list[Estima
     return sorted(shown, key=lambda e: not e.contradicts)
 
 
-def of_diagnosis(report: Mapping[str, Any], name_of: Callable[[str], str]) -> list[Estimated]:
+def of_diagnosis(report: Mapping[str, Any], names: Names) -> list[Estimated]:
     """What the recordings of a diagnosis say of its numbers, one by one; empty where none could be
     compared, or the report is an older one."""
     numbers = []
@@ -188,7 +183,7 @@ def of_diagnosis(report: Mapping[str, Any], name_of: Callable[[str], str]) -> li
             {**entry, **together, "by": [{**entry, **by, "contradicts": entry["widens"]}]}
         )
     digests = {r["sha256"] for n in numbers for r in n["recordings"]}
-    return estimated(numbers, {d: name_of(d) for d in digests})
+    return estimated(numbers, {d: recording_name(d, names) for d in digests})
 
 
 def _estimated(number: Mapping[str, Any], names: Names) -> Estimated:

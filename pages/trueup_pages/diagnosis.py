@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from markupsafe import Markup
 
-from trueup.diagnose import answer_table, number_text, summary_text
+from trueup.diagnose import answer_table, number_text, summary_text, summary_warnings
 from trueup.diagnose.number_text import percent
 from trueup_pages import consistency, drawing
 from trueup_pages.rendering import render
@@ -34,9 +35,11 @@ def report_page(
     report: Mapping[str, Any],
     figures: Mapping[str, Any] | None,
     command_file: str | None = "next_experiment.csv",
+    names: Mapping[str, str] = summary_text.UNNAMED,
 ) -> str:
-    """Returns a diagnosis as one HTML file that loads nothing else."""
-    return render("report.html", **view(report, figures, command_file))
+    """Returns a diagnosis as one HTML file that loads nothing else; `names` are those of recordings
+    by digest."""
+    return render("report.html", **view(report, figures, command_file, names=names))
 
 
 def view(
@@ -45,19 +48,22 @@ def view(
     command_file: str | None,
     episode_url: Callable[[str], str] | None = None,
     step: object = None,
-    name_of: Callable[[str], str] = consistency.of_digest,
+    names: Mapping[str, str] = summary_text.UNNAMED,
 ) -> dict[str, Any]:
     """Returns the values of `diagnosis_body.html`; `step` is what to do next, on a page of a
-    service; `name_of` what a recording is called, by its digest."""
+    service; `names` are those of recordings by digest."""
     where = report["where"]
     return {
         "d": report,
+        "faults": summary_text.faults(report, names),
+        "warned": summary_warnings.warnings(report, names),
+        "recording_name": partial(summary_text.recording_name, names=names),
         "answer": summary_text.sentence(report),
         "title": answer_table.title(report),
         "rows": answer_table.rows(report),
         "left_over": answer_table.left_over(report),
         "equations": answer_table.equations(report),
-        "estimated": consistency.of_diagnosis(report, name_of),
+        "estimated": consistency.of_diagnosis(report, names),
         "figures": figures,
         **recordings_of(figures, MODELS),
         "parts": summary_text.waterfall(report),

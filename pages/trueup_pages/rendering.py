@@ -11,7 +11,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from trueup.diagnose import number_text, summary_text, summary_warnings
+from trueup.diagnose import number_text, summary_text
 from trueup_pages import copy_as, drawing
 from trueup_pages.assets import text_of, url_of
 from trueup_pages.timeline import timeline
@@ -40,7 +40,6 @@ def _environment() -> Environment:
         drawing=drawing,
         words=summary_text,
         numbers=number_text,
-        warnings_of=summary_warnings.warnings,
         timeline=timeline,
         command=copy_as.command,
         rest=copy_as.rest,

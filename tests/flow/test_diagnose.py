@@ -70,6 +70,26 @@ def test_its_model_predicts_an_episode_that_it_never_saw(case):
     assert missed["corrected"] < 0.2 * missed["nominal"]
 
 
+def test_a_prediction_has_what_was_measured_beside_it_and_says_what_is_not_scored(case):
+    folder, out, _, plant, trial = case
+    run_ = trial.of("test")[0]
+    episode = write_recording(folder / "beside.mcap", episode_of(plant, run_, Role.TEST, "test"))
+    model, table = ["--model", out / "model", "--episode", episode], folder / "beside.csv"
+    done = run("predict", *model, "--horizon", 2.0, "--out", table, "--measured", "--json")
+    with table.open() as file:
+        head, *rows = list(csv.reader(file))
+    assert head == ["t", "q", "v", "measured_q", "measured_v"]
+    values = np.array(rows, float)
+    assert np.allclose(values[:, 3:], run_.observed, atol=1e-12)
+    printed = json.loads(done.stdout)
+    starts = np.flatnonzero(np.diff(np.floor(values[:, 0] / 2.0 + 1e-9), prepend=-1.0))
+    scored = np.setdiff1d(np.arange(len(values)), starts)
+    rms = np.sqrt(np.mean((values[scored, 1] - values[scored, 3]) ** 2))
+    assert printed["rms"]["q"] == pytest.approx(rms, rel=0.05)  # a window ends on the next start
+    assert printed["gate"]["windows"] == len(starts) - 1  # the last sample ends the one before
+    assert printed["left_out"] == []
+
+
 def test_a_folder_without_a_plant_says_what_a_case_is(tmp_path):
     done = run("diagnose", tmp_path, "--out", tmp_path / "out", code=1)
     assert "plant.json" in done.stderr

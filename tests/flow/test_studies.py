@@ -94,6 +94,16 @@ def test_a_decision_is_replayed_by_its_first_digits(service, decided):
     assert "no decision begins with '0123'" in refused.stderr
 
 
+def test_a_prediction_errs_by_what_the_gate_says_to_the_last_digit(service, decided, tmp_path):
+    document, model = decided["A"]["document"], tmp_path / "model"
+    command(service, "fetch", "chapter", str(model), "--artifact", document["candidate"][:12])
+    gate = json.loads((CHAPTER / "gate.json").read_text())["scoring"]
+    options = ["--model", str(model), "--episode", str(CHAPTER / "validation.mcap")]
+    options += ["--horizon", str(gate["horizon_s"]), "--out", str(tmp_path / "p.csv"), "--json"]
+    told = json.loads(command(service, "predict", *options).stdout)
+    assert told["gate"][gate["windows"]] == document["figures"]["candidate"]["rollout"][0]
+
+
 def verified(service, *options):
     printed = json.loads(command(service, "audit", "verify", "--json", *options).stdout)
     assert printed["findings"] == []

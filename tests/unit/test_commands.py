@@ -23,6 +23,7 @@ FOR_PEOPLE = {
     "serve",
     "work",
     "demo",
+    "try",
     "completion",
 }
 SHELLS = ("bash", "zsh", "fish", "powershell")
@@ -146,3 +147,41 @@ def test_shells_complete_commands_and_options(tmp_path):
     unknown = run("completion", SHELL="/bin/nothing", PATH="/nowhere")
     assert unknown.returncode in (exits.DONE, exits.REFUSED)
     assert "Traceback" not in unknown.stderr
+
+
+HELP_LINES, HELP_WIDTH = 24, 80
+
+
+def helped(*command):
+    done = subprocess.run(
+        [sys.executable, "-m", "trueup_cli.main", *command, "--help"],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "COLUMNS": str(HELP_WIDTH), "TERM": "dumb"},
+    )
+    return done.stdout
+
+
+def test_the_list_of_commands_says_what_each_does_in_a_line_and_fits_group_by_group():
+    panels = re.split(r"^╭", helped(), flags=re.MULTILINE)[1:]
+    lines = [panel.splitlines() for panel in panels]
+    assert [title for title in main._GROUPS if not any(title in panel for panel in panels)] == []
+    assert max(map(len, lines)) <= HELP_LINES
+    rows = [row for panel in lines for row in panel if row.startswith("│")]
+    assert all(re.match(r"│ \S+(?: \(-h\))?\s+[A-Z]", row) for row in rows), rows
+    assert len(rows) == len(main._COMMANDS) + 2  # help, version
+
+
+@pytest.mark.parametrize(
+    "group", ["plant", "audit", "token", "project", "webhook", "mlflow", "oci"]
+)
+def test_the_help_of_a_group_says_what_it_is_for_on_one_screen(group):
+    text = helped(group)
+    assert text.splitlines()[2].endswith(".")
+    assert len(text.splitlines()) <= HELP_LINES
+
+
+def test_the_help_of_a_command_is_all_that_its_docstring_says():
+    text = " ".join(helped("init").split())
+    assert "holds out the last part of the recordings" in text

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import orjson
@@ -26,6 +27,13 @@ def read_case(folder: Path) -> tuple[Plant, list[Episode]]:
 def read_episodes(folder: Path, plant: Plant) -> list[Episode]:
     """Every episode of a case folder, in the order of their file names. Raises BadEpisode."""
     return [read_recording(file, plant) for file in recordings_of(folder)]
+
+
+def names_of(folder: Path, episodes: Sequence[Episode]) -> dict[str, str]:
+    """What the episodes of a case folder are called, by digest: as they were recorded, else by
+    their files."""
+    files = zip(episodes, recordings_of(folder), strict=True)
+    return {e.digest: e.name or file.stem for e, file in files}
 
 
 def recordings_of(folder: Path) -> list[Path]:

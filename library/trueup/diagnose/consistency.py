@@ -28,7 +28,7 @@ from trueup.diagnose.tasks import Solve, in_threads
 from trueup.diagnose.tuning import SEARCH
 from trueup.diagnose.windowed_fits import WindowedFits, observed_starts
 from trueup.doctor.examine import usable
-from trueup.episode.episode import Episode
+from trueup.episode.episode import NAME, Episode
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
 from trueup.fit.convergence import converge
@@ -40,7 +40,6 @@ from trueup.model.series import Series
 
 SCHEMA = "trueup.consistency/1"
 RECORDING, DAY, HALF = "recording", "day", "half"
-NAME = "recording"  # the condition that says what a recording is called
 FEWEST = 2  # recordings
 COMPARED = Role.ADAPTATION, Role.VALIDATION
 # conditions that part no recordings: whose log it is, and what the recording is called
@@ -160,7 +159,7 @@ def _day(episode: Episode) -> str:
 def _recording(episode: Episode, name: str | None) -> dict[str, Json]:
     return {
         "sha256": episode.digest,
-        "name": name or episode.conditions.get(NAME),
+        "name": name or episode.name,
         "role": str(episode.role),
         "day": _day(episode),
         "conditions": dict(episode.conditions),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from types import MappingProxyType
 from typing import Any
 
 from trueup.diagnose.number_text import percent, plus_minus, short, unit, with_interval
@@ -14,6 +15,8 @@ HYPHENATED = {"load_dependent_friction": "load-dependent friction"}
 PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 MOST_NUMBERS = 3  # that a sentence names
 SHORT_DIGEST = 12  # digits of a recording's digest
+MOST_RECORDINGS = 3  # that a sentence names
+UNNAMED: Mapping[str, str] = MappingProxyType({})  # what no recording is called
 SAME_NUMBERS, NEW_NUMBERS = "integration and start", "refitted parameters"
 NEAREST = "nearest combination"
 UNEXPLAINED, NOISE = "not explained", "noise floor"
@@ -92,20 +95,38 @@ def _fault_words(finding: Mapping[str, Any]) -> str:
     return f"{words} of {finding['channel']}" if finding["channel"] else words
 
 
-def faults(document: Mapping[str, Any]) -> list[str]:
-    """What is wrong with the log, a sentence or two for each fault of a channel: what shows it, and
-    the mend, where it was not applied. An older report has no findings."""
+def faults(document: Mapping[str, Any], names: Mapping[str, str] = UNNAMED) -> list[str]:
+    """What is wrong with the log, a sentence or two for each fault of a channel: in which
+    recordings, what shows it, and the mend, where it was not applied. `names` are those of
+    recordings by digest. An older report has no findings."""
     alike: dict[tuple[str, str | None], list[Mapping[str, Any]]] = {}
     for f in document.get("findings", []):
         alike.setdefault((f["finding"], f["channel"]), []).append(f)
     sentences = []
     for findings in alike.values():
         f = findings[0]
-        head = _fault_words(f)
+        head = _fault_words(f) + _in_recordings(document, findings, names)
         more = f"; {len(findings) - 1} more like it" if len(findings) > 1 else ""
         done = f"Done: {f['mend'][0].lower()}{f['mend'][1:]}" if f["applied"] else f["mend"]
         sentences.append(f"{head[0].upper()}{head[1:]}: {f['evidence']}{more}. {done}")
     return sentences
+
+
+def _in_recordings(
+    document: Mapping[str, Any], findings: Sequence[Mapping[str, Any]], names: Mapping[str, str]
+) -> str:
+    """The recordings that have a fault, where not all of them do."""
+    digests = list(dict.fromkeys(d for f in findings for d in f.get("episodes", ())))
+    if not digests or len(digests) >= len(document["evidence"]["episodes"]):
+        return ""
+    named = [recording_name(d, names) for d in digests[:MOST_RECORDINGS]]
+    more = len(digests) - len(named)
+    return f" in {', '.join(named)}{f' and {more} more' if more else ''}"
+
+
+def recording_name(digest: str, names: Mapping[str, str]) -> str:
+    """What a recording is called: by its name, else by the first digits of its digest."""
+    return names.get(digest, digest[:SHORT_DIGEST])
 
 
 def _same_numbers(document: Mapping[str, Any]) -> str:

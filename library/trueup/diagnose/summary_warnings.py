@@ -7,17 +7,20 @@ from typing import Any
 
 from trueup.collect.step_warning import off_step
 from trueup.diagnose.number_text import short
-from trueup.diagnose.summary_text import faults, name
+from trueup.diagnose.summary_text import MOST_RECORDINGS, UNNAMED, faults, name, recording_name
 from trueup.diagnose.tuning_of_answers import EVIDENCE
 
 
-def warnings(document: Mapping[str, Any]) -> list[str]:
+def warnings(document: Mapping[str, Any], names: Mapping[str, str] = UNNAMED) -> list[str]:
     """What a reader of the answer should know first, a sentence each: of pushes, the clock, new
-    numbers that mislead, noise, the fit."""
+    numbers that mislead, noise, the fit. `names` are those of recordings by digest."""
     push = (
         "Something outside pushes, as a contact does: {}. Leave it out: a contact is not simulated."
     )
-    sentences = [*faults(document), *(push.format(when) for when in _pushed(document))]
+    sentences = [
+        *faults(document, names),
+        *(push.format(when) for when in _pushed(document, names)),
+    ]
     evidence, gap = document["evidence"], document["gap"]
     if evidence.get("served") == "nominal":
         sentences.append(
@@ -38,12 +41,17 @@ def warnings(document: Mapping[str, Any]) -> list[str]:
         sentences.append(f"Guessed, and confirmed by nobody: {'; '.join(evidence['guessed'])}.")
     # an older report does not say what its clock was
     episodes = evidence["episodes"] if "timestep_s" in evidence else []
-    late = [off for e in episodes if (off := off_step(e["period_s"], evidence["timestep_s"]))]
+    late = [
+        (recording_name(e["sha256"], names), off)
+        for e in episodes
+        if (off := off_step(e["period_s"], evidence["timestep_s"]))
+    ]
     if late:
-        sentences.append(
-            f"{len(late)} of {len(episodes)} episodes are off the declared step, the first "
-            f"{late[0]}."
-        )
+        which = ", ".join(name for name, _ in late[:MOST_RECORDINGS])
+        which += f" and {len(late) - MOST_RECORDINGS} more" if len(late) > MOST_RECORDINGS else ""
+        is_or_are = "is" if len(late) == 1 else "are"
+        which = "All recordings" if len(late) == len(episodes) > 1 else which
+        sentences.append(f"{which} {is_or_are} off the declared step: {late[0][1]}.")
     if (
         gap["before"] > EVIDENCE.clearly_above_floor * gap["floor"]
         and gap["parameters_only"] > EVIDENCE.misleading * gap["before"]
@@ -98,14 +106,12 @@ def _found_to_be_ramp(hold: Mapping[str, Any]) -> bool:
     return bool(hold["hold"] == "first_order" and not hold["declared"])
 
 
-def _pushed(document: Mapping[str, Any]) -> list[str]:
+def _pushed(document: Mapping[str, Any], names: Mapping[str, str]) -> list[str]:
     """When something outside pushes a robot, in words."""
     roles = {e["sha256"]: e["role"] for e in document["evidence"]["episodes"]}
     phrases = []
     for push in document["where"].get("pushed", []):
         joints = " and ".join(f"{j['joint']} by {j['force']:.2g}" for j in push["joints"])
-        phrases.append(
-            f"{roles[push['episode']]} episode {push['episode'][:12]}, {push['from_s']:g} to "
-            f"{push['to_s']:g} s: {joints}"
-        )
+        which = f"{roles[push['episode']]} episode {recording_name(push['episode'], names)}"
+        phrases.append(f"{which}, {push['from_s']:g} to {push['to_s']:g} s: {joints}")
     return phrases

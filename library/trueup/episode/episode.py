@@ -16,6 +16,7 @@ from trueup.episode.role import Role
 from trueup.errors import NotAnEpisode, RoleRefused
 
 LEAST_SAMPLES = 2
+NAME = "recording"  # the collection condition that says what a recording is called
 GAP_PERIODS = 5.0  # an interval this many median periods long is a gap
 
 
@@ -104,6 +105,11 @@ class Episode:
         for values in (self.observations, self.commands):
             hashed.update(np.where(np.isnan(values), np.nan, values + 0.0).astype("<f8").tobytes())
         return hashed.hexdigest()
+
+    @property
+    def name(self) -> str | None:
+        """What the recording is called, None where nothing says so."""
+        return self.conditions.get(NAME)
 
     @property
     def recording(self) -> str:

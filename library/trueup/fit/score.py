@@ -155,6 +155,41 @@ def _starts(
     return (starts[:1], lengths[:1]) if scoring.windows == FIRST else (starts, lengths)
 
 
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """A stretch of an episode that no window scores [s], and why."""
+
+    from_s: float
+    to_s: float
+    why: str
+
+
+def left_out(plant: Plant, episode: Episode, scoring: Scoring) -> list[LeftOut]:
+    """What of an episode is not scored: what precedes the first known state, windows of one sample,
+    and where the first window alone counts, all after it. Raises NotAnEpisode where nothing is
+    scored."""
+    t_s, windows = episode.t_s, scored_windows(plant, episode, scoring)
+    first = float(t_s[windows.first[0]])
+    stretches = []
+    if first > 0.0:
+        stretches.append(LeftOut(0.0, first, "the velocity is not known yet"))
+    if scoring.windows == FIRST:
+        end = float(t_s[windows.first[0] + windows.lengths[0] - 1])
+        if end < t_s[-1]:
+            why = "the gate scores the first window alone"
+            stretches.append(LeftOut(end, float(t_s[-1]), why))
+        return stretches
+    every = starts_every(t_s, scoring.horizon_s, first)
+    # a window ends on the sample at which the next one starts
+    scored = np.concatenate([windows.first, windows.first + windows.lengths - 1])
+    alone = np.setdiff1d(every, scored)
+    stretches += [
+        LeftOut(float(t_s[i]), float(t_s[i]), "a window of one sample has nothing to predict")
+        for i in alone
+    ]
+    return stretches
+
+
 def rollout_rms(predictor: Predictor, episode: Episode, horizon_s: float) -> Array:
     """Root mean square error of each observation over every window, in its own unit,
     `(observations,)`."""

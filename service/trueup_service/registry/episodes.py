@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from sqlalchemy import Select, func, select
@@ -21,6 +21,19 @@ class Episodes(Repository[EpisodeRecord]):
     def get(self, plant: str, digest: str) -> EpisodeRecord | None:
         """An episode of a plant by the digest of its bytes."""
         return self._by(plant=plant, digest=digest)
+
+    def names(self, plant: str, digests: Iterable[str]) -> dict[str, str]:
+        """What some episodes are called by their condition `recording`, by digest; without those
+        that have none."""
+        query = select(t.episodes).where(
+            t.episodes.c.plant == plant, t.episodes.c.digest.in_(list(digests))
+        )
+        conditions = ((e.digest, e.summary.get("conditions") or {}) for e in self._all(query))
+        return {
+            digest: str(of["recording"])
+            for digest, of in conditions
+            if isinstance(of, Mapping) and of.get("recording")
+        }
 
     def page(self, plant: str, role: str | None, after: str, limit: int) -> list[EpisodeRecord]:
         """Episodes in the order of their digests from behind one, of one role or of all."""

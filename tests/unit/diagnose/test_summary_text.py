@@ -210,9 +210,9 @@ def test_a_clock_of_whole_steps_is_passed_over(period_s):
 )
 def test_a_clock_off_the_declared_step_is_told(period_s, told):
     (warning,) = warnings(recorded(0.005, period_s))
-    assert warning.startswith(
-        f"1 of 2 episodes are off the declared step, the first recorded every {told}, "
-    )
+    assert warning.startswith(f"{'1' * 12} is off the declared step: recorded every {told}, ")
+    (named,) = warnings(recorded(0.005, period_s), {"1" * 64: "run-2"})
+    assert named.startswith("run-2 is off")
     assert "declares steps of 5 ms" in warning
 
 

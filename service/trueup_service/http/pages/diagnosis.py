@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import orjson
@@ -38,6 +39,7 @@ def diagnosis(request: Request, parts: RequestParts, plant: PlantName, job: JobI
         command and f"/v1/jobs/{job}/outputs/{COMMAND}",
         lambda digest: f"/plants/{plant}/episodes/{digest}",
         step,
+        _names(parts, plant, report),
     )
     return show(request, "diagnosis.html", job=record, **values)
 
@@ -48,7 +50,7 @@ def report(parts: RequestParts, plant: PlantName, job: JobId) -> Response:
     record = job_of(parts, plant, job, ["diagnose"], "diagnosis")
     require_report(record, "diagnosis")
     document, figures, command = _results(parts, record)
-    return as_file(record, report_page(document, figures, command))
+    return as_file(record, report_page(document, figures, command, _names(parts, plant, document)))
 
 
 def _results(
@@ -61,3 +63,9 @@ def _results(
     result: dict[str, Any] = job.result or {}
     figures = orjson.loads(parts.blobs.get(outputs[FIGURES])) if FIGURES in outputs else None
     return result["report"], figures, COMMAND if COMMAND in outputs else None
+
+
+def _names(parts: Parts, plant: str, report: Mapping[str, Any]) -> dict[str, str]:
+    """What the recordings of a report are called, by digest."""
+    with reading(parts.database) as tx:
+        return tx.episodes.names(plant, [e["sha256"] for e in report["evidence"]["episodes"]])
