@@ -24,7 +24,6 @@ from trueup_pages.diagnosis import report_page
 
 CASE, REGISTRY, REPORT = "case", "registry", "report.html"
 FIGURES = "figures.json"
-ENDED_EARLY = "stopped here. What was made is in {}; the same command goes on from the beginning."
 
 
 def first_try(
@@ -57,7 +56,7 @@ def first_try(
         raise BadPlant(f"{out} is not empty", hint="Name a new folder with --out.")
     walk = Walk(log or Path(input("Recordings (a file or a folder): ").strip()), out, chosen)
     if not walk.goes():
-        say(ENDED_EARLY, out)
+        say("stopped here; what was made is in {}", out)
 
 
 class Walk:

@@ -74,6 +74,7 @@ LONG = {
     "mlflow",
     "oci",
     "init",
+    "try",
 }
 # what is no command of ours, or is tested as what `make` does
 OTHERS = {
@@ -159,7 +160,7 @@ class World:
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory):
-    """What README's commands leave behind, run in their order."""
+    """What the commands of the page of all tasks leave behind, run in their order."""
     folder = tmp_path_factory.mktemp("snippets")
     for name in ("examples", "tools"):
         (folder / name).symlink_to(ROOT / name)
@@ -168,7 +169,7 @@ def world(tmp_path_factory):
         found = World(folder, service)
         found.printed = {
             " ".join(words): found.run(words)
-            for words in lines(ROOT / "README.md")
+            for words in lines(ROOT / "docs" / "usage.md")
             if can_run(words)
         }
         yield found
@@ -189,7 +190,23 @@ def can_run(words):
     )
 
 
-def test_readmes_commands_do_in_their_order_what_they_say(world):
+def test_readmes_commands_lead_from_a_log_to_a_corrected_model(world, tmp_path):
+    (tmp_path / "my-log").mkdir()
+    for seed in range(4):
+        recorded.as_csv(recorded.simulated(seed=seed), tmp_path / "my-log" / f"run-{seed}.csv")
+    elsewhere = World(tmp_path, world.service)
+    said = {
+        words[1]: elsewhere.run(words)
+        for words in lines(ROOT / "README.md")
+        if words[0] == "trueup" and words[1] not in LONG - {"init", "diagnose"} | {"keygen"}
+    }
+    assert list(said) == ["init", "doctor", "diagnose", "consistency", "convert"]
+    assert "Coulomb friction" in said["diagnose"]
+    assert "recordings agree on" in said["consistency"] or "do not agree" in said["consistency"]
+    assert (tmp_path / "model.onnx").stat().st_size > 0
+
+
+def test_the_commands_of_all_tasks_do_in_their_order_what_they_say(world):
     said = world.printed
     assert len(said) > 14
     assert "every step is a person's" in said["trueup policy emps"]
