@@ -18,7 +18,7 @@ VENDORED = {
     "htmx.js": "a0abb04f2f45a1f89d1d4844023245537e5e6014c87b144553e0607b4cc32130",
 }
 NOTICES = {"uplot.js": "uPlot 1.6.32, (c) Leon Sorokin, under the MIT licence"}
-OURS = ("trueup.css", "trueup.js", "forms.js")
+OURS = ("trueup.css", "trueup.js", "forms.js", "live.js")
 TYPES = {"js": "text/javascript; charset=utf-8", "css": "text/css; charset=utf-8"}
 
 

@@ -45,6 +45,10 @@ ROUTES = [
 ]
 
 
+# a stream has no end: what a role may see of it, tests of its own say
+STREAMS = {("GET", "/live")}
+
+
 def bearer(token):
     return {"Authorization": f"Bearer {token}"}
 
@@ -91,6 +95,8 @@ def test_every_route_answers_every_role_as_its_row_says(service, somebody, role)
     everywhere = role is not None and role.endswith("of all")
     for method, route in ROUTES:
         rule = ACCESS[method, route.path]
+        if role is not None and (method, route.path) in STREAMS:
+            continue
         path = (
             route.path.replace("{tile:path}", "000")
             .replace("{level}", "0")

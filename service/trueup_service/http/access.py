@@ -146,6 +146,7 @@ ACCESS: Mapping[tuple[str, str], Rule] = {
     ("POST", "/plants/{plant}/studies/{kind}"): ENGINEERS,
     ("GET", "/plants/{plant}/studies/{job}"): READERS,
     ("GET", "/plants/{plant}/studies/{job}/report.html"): READERS,
+    ("GET", "/live"): READERS,
     ("GET", "/jobs"): READERS,
     ("GET", "/plants/{plant}/jobs"): READERS,
     ("POST", "/plants/{plant}/jobs"): ENGINEERS,

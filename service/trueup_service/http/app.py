@@ -17,6 +17,7 @@ from trueup_service.expiry import INTERVAL_S, remove_expired
 from trueup_service.http import openapi, problems
 from trueup_service.http.body_limit import BodyLimit
 from trueup_service.http.hosts import AllowedHosts
+from trueup_service.http.live import LiveFeed
 from trueup_service.http.openid import OpenIdProvider
 from trueup_service.http.pages import audit as audit_page
 from trueup_service.http.pages import channels as channels_page
@@ -26,6 +27,7 @@ from trueup_service.http.pages import diagnosis as diagnosis_page
 from trueup_service.http.pages import episode as episode_page
 from trueup_service.http.pages import gate as gate_page
 from trueup_service.http.pages import jobs as jobs_page
+from trueup_service.http.pages import live as live_page
 from trueup_service.http.pages import monitor as monitor_page
 from trueup_service.http.pages import new_plant as new_plant_page
 from trueup_service.http.pages import openid as openid_page
@@ -85,6 +87,7 @@ PAGES = (
     session_page,
     openid_page,
     plants_page,
+    live_page,
     new_plant_page,
     plant_page,
     upload_page,
@@ -130,6 +133,7 @@ def create_app(parts: Parts) -> FastAPI:
     async def alive(app: FastAPI) -> AsyncIterator[None]:
         export_gauges(parts)
         app.state.answers = ServingAnswers(parts.database, parts.settings.watch_interval_s)
+        app.state.live = LiveFeed(parts.database)
         limits = parts.settings.inspection_memory_bytes, parts.settings.inspection_timeout_s
         app.state.inspector = Inspector(parts.settings.inspections, *limits)
         publishing = asyncio.create_task(
@@ -139,6 +143,7 @@ def create_app(parts: Parts) -> FastAPI:
         yield
         publishing.cancel()
         tidying.cancel()
+        app.state.live.close()
         await run_in_threadpool(open_telemetry.flush)
         app.state.inspector.close()
         parts.close()

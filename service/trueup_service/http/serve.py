@@ -57,7 +57,7 @@ def _quiet_collector() -> None:
 
 
 class _Server(uvicorn.Server):
-    """A server that releases long polls as soon as it is told to stop, and ends slow connections
+    """A server that ends long polls and streams as soon as it is told to stop, and slow connections
     while it runs.
 
     It looks once a second and not ten times, which is most of what an idle server would take.
@@ -83,6 +83,9 @@ class _Server(uvicorn.Server):
         super().handle_exit(sig, frame)
         if self._loop is not None and self._exit is not None:
             self._loop.call_soon_threadsafe(self._exit.set)
+            live = getattr(self.config.app.state, "live", None)  # type: ignore[union-attr]
+            if live is not None:
+                self._loop.call_soon_threadsafe(live.close)
 
 
 def _limits(settings: Settings) -> Limits:
