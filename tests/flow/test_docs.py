@@ -160,5 +160,5 @@ def test_the_site_builds_with_every_link_and_loads_from_nowhere_else(tmp_path):
         assert not re.search(r"(?:url\(|@import)\s*['\"]?(?:https?:)?//", sheet.read_text()), sheet
     effects = (tmp_path / "site" / "effects.html").read_text()
     assert effects.count("<img") == len(catalogue())
-    assert "Roll a model" in (tmp_path / "site" / "commands.html").read_text()
+    assert "Predict an episode" in (tmp_path / "site" / "commands.html").read_text()
     assert "upload_episode" in (tmp_path / "site" / "python.html").read_text()

@@ -6,7 +6,8 @@ ended. How uncertain such an estimate is, its own few windows cannot tell: it is
 information and what is left of its samples say, times what windows within recordings disagree by
 more than that, over all recordings. Cochran's Q says whether estimates differ by more; where they
 do, DerSimonian and Laird's variance between recordings says by how much, and an interval that holds
-the next recording's estimate is wider by Student's t of that.
+the next recording's estimate is wider by Student's t of that, and by no more than what the
+recordings' own intervals reach.
 
 Source: R. DerSimonian, N. Laird, Controlled Clinical Trials 7 (1986), for Q and the variance, here
 with the F distribution, for the uncertainty is itself estimated; J. P. T. Higgins, S. G. Thompson,
@@ -104,9 +105,16 @@ class Difference:
 
     @property
     def half(self) -> float:
-        """Half of a 95 % interval of how far one more recording may lie from the others; 0 where
-        they agree."""
-        return students(len(self.estimates) - 1) * self.deviation if self.differs else 0.0
+        """By how much half of an interval is wider, so that it holds one more recording's estimate:
+        by Student's t of the deviation, but no more than the intervals of those recordings reach
+        from the mean that know the number better than they differ, for t of two or three is large
+        whatever they show; 0 where they agree."""
+        if not self.differs:
+            return 0.0
+        each = list(self.estimates.values())
+        known = [e for e in each if e.half <= self.deviation] or each
+        reach = max(abs(e.value - self.mean) + e.half for e in known)
+        return min(students(len(each) - 1) * self.deviation, reach)
 
     @cached_property
     def _values(self) -> Array:

@@ -108,7 +108,7 @@ def test_without_alternatives_there_is_nothing_to_split(undecided, tmp_path):
     with pytest.raises(NotIdentifiable, match="without a diagnosis") as refused:
         excite(tmp_path, out=tmp_path / "out", split=True)
     assert "--model" in refused.value.hint
-    write(result, episodes, tmp_path / "found")
+    write(result, episodes, tmp_path / "found", {})
     report = json.loads((tmp_path / "found" / "report.json").read_text())
     report["evidence"]["alternatives"] = []
     report["next_experiment"] = {"why": "No command parts them: log the motor current."}
@@ -123,7 +123,7 @@ def test_the_command_writes_the_experiment(undecided, tmp_path, capsys, monkeypa
     monkeypatch.setattr("trueup.collect.excitation.TRIED", 8)
     monkeypatch.setattr("trueup.collect.excitation.IMPROVED", 4)
     (tmp_path / "plant.json").write_text(json.dumps(plant.document))
-    write(result, episodes, tmp_path / "found")
+    write(result, episodes, tmp_path / "found", {})
     excite(tmp_path, out=tmp_path / "out", model=tmp_path / "found", split=True, duration_s=10.0)
     document = json.loads((tmp_path / "out" / "excitation.json").read_text())
     assert document["goal"] == "split"
