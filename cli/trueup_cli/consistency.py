@@ -7,15 +7,14 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from trueup.artifact.model import load
 from trueup.diagnose.case import names_of, read_case
 from trueup.diagnose.consistency import consistency as study
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.processes import in_processes
-from trueup.model.predictor import Predictor
+from trueup.diagnose.summary_text import number_name
 from trueup_cli.options import DEFAULT_URL, Json, Url
 from trueup_cli.show import progress, table
-from trueup_cli.study import Presentation, folder_of, is_case, remote_consistency
+from trueup_cli.study import Presentation, folder_of, is_case, load_model, remote_consistency
 from trueup_pages import consistency as page
 
 
@@ -67,18 +66,16 @@ def _run_locally(case: Path, folder: str | None, *, diagnoses: bool) -> dict[str
     with progress("consistency") as bar:
         bar(0.0, "reading the episodes")
         plant, episodes = read_case(case)
-        if folder is None:
-            diagnosis = diagnose(
-                plant, episodes, 0, lambda stage, part: bar(part, stage), in_processes
-            )
-            predictor: Predictor = diagnosis.predictor
-        else:
-            inner = Path(folder) / "model"
-            predictor = load(inner if inner.is_dir() else Path(folder)).predictor
+
+        def report(stage: str, part: float) -> None:
+            bar(part, stage)
+
         return study(
-            predictor,
+            diagnose(plant, episodes, 0, report, in_processes).predictor
+            if folder is None
+            else load_model(plant, Path(folder)),
             episodes,
-            lambda stage, part: bar(part, stage),
+            report,
             diagnoses=diagnoses,
             names=names_of(case, episodes),
             solve=in_processes,
@@ -87,20 +84,20 @@ def _run_locally(case: Path, folder: str | None, *, diagnoses: bool) -> dict[str
 
 def _show(document: dict[str, Any]) -> None:
     names = page.names_of(document)
-    table(
-        "Numbers that recordings differ on",
-        ["number", "by", "recordings", "value", "from", "to"],
-        [
-            (
-                f"{n['effect'] or ''} {n['parameter']}".strip(),
-                b["grouping"],
-                names.get(s["subset"], s["subset"]),
-                s["value"],
-                *s["ci95"],
-            )
-            for n in document["numbers"]
-            for b in n["by"]
-            if b["contradicts"]
-            for s in b["subsets"]
-        ],
-    )
+    rows = [
+        (
+            number_name(n),
+            b["grouping"],
+            names.get(s["subset"], s["subset"]),
+            s["value"],
+            *s["ci95"],
+            n["unit"],
+        )
+        for n in document["numbers"]
+        for b in n["by"]
+        if b["contradicts"]
+        for s in b["subsets"]
+    ]
+    if rows:
+        columns = ["number", "by", "recordings", "value", "from", "to", "unit"]
+        table("Numbers that recordings do not agree on", columns, rows)

@@ -49,7 +49,7 @@ def local_models(
     models: dict[str, Predictor] = {NOMINAL: Nominal(plant)}
     for folder in named:
         name, _, path = folder.rpartition("=")
-        models[name or Path(path).resolve().name] = _load(plant, Path(path))
+        models[name or Path(path).resolve().name] = load_model(plant, Path(path))
     adaptation = [e for e in episodes if e.role is Role.ADAPTATION]
     if adaptation:
         with suppress(NotIdentifiable):  # a study without it is still one
@@ -65,10 +65,10 @@ def local_machine(
     if folder is None:
         name, machine = stand_in(models)
         return name, machine.model
-    return folder.resolve().name, _load(plant, folder)
+    return folder.resolve().name, load_model(plant, folder)
 
 
-def _load(plant: Plant, folder: Path) -> Predictor:
+def load_model(plant: Plant, folder: Path) -> Predictor:
     """The predictor in a folder that `trueup fetch` or `trueup diagnose` wrote. Raises
     BadArtifact."""
     inner = folder / "model"

@@ -10,13 +10,19 @@ from typing import Any
 from markupsafe import Markup
 
 from trueup.diagnose.number_text import plus_minus, short, unit
-from trueup.diagnose.summary_text import composition, name, recording_name
+from trueup.diagnose.summary_text import (
+    MOST_NUMBERS,
+    composition,
+    number_name,
+    recording_name,
+    some_of,
+)
 from trueup_pages import drawing
 from trueup_pages.rendering import render
 
 BODY = "consistency_body.html"
-MOST_NAMED = 3  # numbers that the sentence names
 WIDE = 8.0  # times the narrowest interval: a wider one does not stretch the axis
+RARE = 0.001  # a smaller probability has no digits of its own
 Names = Mapping[str, str]
 
 
@@ -70,11 +76,10 @@ def sentence(document: Mapping[str, Any]) -> str:
             f"{_counted(len(compared))}, as far as their intervals can tell."
         )
     else:
-        called = [_called(n) for n in apart]
-        more = f" and {len(called) - MOST_NAMED} more" if len(called) > MOST_NAMED else ""
+        called = some_of([number_name(n) for n in apart], MOST_NUMBERS)
         text = (
             f"The {recordings} recordings do not agree on {len(apart)} of "
-            f"{_counted(len(compared))}: {', '.join(called[:MOST_NAMED])}{more}. "
+            f"{_counted(len(compared))}: {called}. "
             f"{_furthest(apart, names_of(document))}"
         )
     return f"{text} {_of_diagnoses(document)}".rstrip()
@@ -100,7 +105,7 @@ def _furthest(numbers: Sequence[Mapping[str, Any]], names: Names) -> str:
     first, second = (
         f"{names.get(which, which)} says {_size(says[which], number)}" for which in worst["apart"]
     )
-    return f"Furthest apart, {first} and {second} for {_called(number)}."
+    return f"Furthest apart, {first} and {second} for {number_name(number)}."
 
 
 def _of_diagnoses(document: Mapping[str, Any]) -> str:
@@ -114,18 +119,6 @@ def _of_diagnoses(document: Mapping[str, Any]) -> str:
     }
     same = "the same answer" if len(answers) == 1 else f"{len(answers)} different answers"
     return f"Diagnosed alone, {len(rows)} subsets give {same}."
-
-
-def _called(number: Mapping[str, Any]) -> str:
-    label = str(number["label"]).replace("_", " ")
-    if number["effect"] is None:
-        parameter = str(number["parameter"])
-        return parameter if label == parameter else f"{label} {parameter}"
-    return f"{name(_effect(number))} ({label})"
-
-
-def _effect(number: Mapping[str, Any]) -> Any:
-    return {k: number[k] for k in ("effect", "joint") if number.get(k)}
 
 
 def _size(estimate: Mapping[str, Any], number: Mapping[str, Any]) -> str:
@@ -145,19 +138,18 @@ def view(document: Mapping[str, Any]) -> dict[str, Any]:
         "names": names,
         "estimated": estimated(document["numbers"], names),
         "composition": composition(document["effects"], "the nominal form without effects"),
-        "diagnoses": [
-            {
-                "subset": f"{r['grouping']} {r['subset']}",
-                "effects": composition(
-                    [{k: e[k] for k in ("effect", "joint") if k in e} for e in r["effects"]],
-                    "no effect",
-                )
-                if "effects" in r
-                else "",
-                "says": r.get("sentence") or r.get("problem"),
-            }
-            for r in document["diagnoses"]
-        ],
+        "diagnoses": [_diagnosed(r) for r in document["diagnoses"]],
+        "earlier": [_diagnosed(r) for r in document.get("earlier", ())],
+    }
+
+
+def _diagnosed(row: Mapping[str, Any]) -> dict[str, str]:
+    """A diagnosis as a row: of what, the effects that it names, and what it says."""
+    named = [{k: e[k] for k in ("effect", "joint") if k in e} for e in row.get("effects", ())]
+    return {
+        "of": f"{row['grouping']} {row['subset']}",
+        "effects": composition(named, "no effect") if "verdict" in row else "",
+        "says": row.get("sentence") or row["problem"],
     }
 
 
@@ -172,16 +164,9 @@ def of_diagnosis(report: Mapping[str, Any], names: Names) -> list[Estimated]:
     compared, or the report is an older one."""
     numbers = []
     for entry in report.get("between_recordings", ()):
-        by = {
-            "grouping": "recording",
-            "apart": None,
-            "subsets": [{**r, "subset": r["sha256"]} for r in entry["recordings"]],
-        }
-        low, high = entry["together"]
-        together = {"value": (low + high) / 2.0, "ci95": entry["together"]}
-        numbers.append(
-            {**entry, **together, "by": [{**entry, **by, "contradicts": entry["widens"]}]}
-        )
+        subsets = [{**r, "subset": r["sha256"]} for r in entry["recordings"]]
+        by = {**entry, "grouping": "recording", "subsets": subsets}
+        numbers.append({**entry, "ci95": entry["together"], "by": [by]})
     digests = {r["sha256"] for n in numbers for r in n["recordings"]}
     return estimated(numbers, {d: recording_name(d, names) for d in digests})
 
@@ -211,7 +196,7 @@ def _estimated(number: Mapping[str, Any], names: Names) -> Estimated:
         )
         for b in number["by"]
     ]
-    called = _called(number)
+    called = number_name(number)
     return Estimated(
         called[0].upper() + called[1:] if number["effect"] else called,
         line("all together", number, "answer"),
@@ -231,15 +216,18 @@ def _axis(estimates: Sequence[Mapping[str, Any]]) -> drawing.Linear:
 
 def _verdict(by: Mapping[str, Any], number: Mapping[str, Any]) -> str:
     """Whether the subsets of a grouping agree, in words."""
-    if not by["contradicts"]:
-        return "agree within their intervals"
-    measure = unit(number["unit"])
-    deviation = f"{short(by['deviation'])} {measure}".rstrip()
-    chance = f"{by['p']:.1%}".replace("%", " %") if by["p"] >= 0.001 else "< 0.1 %"  # noqa: PLR2004
-    return (
-        f"differ: standard deviation {deviation} between them, beyond their own uncertainty "
-        f"(by chance: {chance})"
-    )
+    chance = f"by chance: {100.0 * by['p']:.1f} %" if by["p"] >= RARE else "by chance: < 0.1 %"
+    if by["contradicts"]:
+        deviation = f"{short(by['deviation'])} {unit(number['unit'])}".rstrip()
+        return (
+            f"differ: standard deviation {deviation} between them, beyond their own uncertainty "
+            f"({chance})"
+        )
+    if by.get("widens"):
+        return f"may differ ({chance}); the interval of the answer is wider for it"
+    if by["apart"]:
+        return f"differ by no more than so many may by chance ({chance})"
+    return "agree within their intervals"
 
 
 def report_page(document: Mapping[str, Any]) -> str:

@@ -38,22 +38,21 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
         diagnoses=bool(request["diagnoses"]),
         solve=in_processes,
     )
-    rows: Any = document["diagnoses"]
     with reading(parts.database) as tx:
         model = find.artifact(tx, job.plant, version)
         earlier = [_row(find.job(tx, other)) for other in request["earlier"]]
     return keep_report(
         parts,
-        {**document, "diagnoses": [*earlier, *rows], "model": f"v{model.version} {model.kind}"},
+        {**document, "earlier": earlier, "model": f"v{model.version} {model.kind}"},
     )
 
 
 def _row(job: JobRecord) -> dict[str, Json]:
-    """An earlier diagnosis of the plant, as a row beside those of the subsets."""
+    """An earlier diagnosis of the plant, as a row like those of the subsets."""
     result: Any = job.result
     return {
         "grouping": "diagnosis",
-        "subset": f"of {job.created_at[:10]}",
+        "subset": f"of {job.created_at[:16].replace('T', ' ')}",
         "job": job.id,
         **diagnosed(result["report"]),
     }

@@ -5,9 +5,9 @@ A composition is fitted to the windows of each recording alone, from where the f
 ended. How uncertain such an estimate is, its own few windows cannot tell: it is as uncertain as its
 information and what is left of its samples say, times what windows within recordings disagree by
 more than that, over all recordings. Cochran's Q says whether estimates differ by more; where they
-do, DerSimonian and Laird's variance between recordings says by how much, and an interval that holds
-the next recording's estimate is wider by Student's t of that, and by no more than what the
-recordings' own intervals reach.
+do, DerSimonian and Laird's variance between recordings says by how much. The interval of the answer
+is then wider by Student's t of its root, for what one more recording may show, but by no more than
+the recordings' own intervals reach.
 
 Source: R. DerSimonian, N. Laird, Controlled Clinical Trials 7 (1986), for Q and the variance, here
 with the F distribution, for the uncertainty is itself estimated; J. P. T. Higgins, S. G. Thompson,
@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,11 +38,10 @@ from trueup.diagnose.intervals import (
     intervals,
     inverse_information,
 )
-from trueup.diagnose.tuning import SEARCH, SELECTION
+from trueup.diagnose.tuning import SELECTION
 from trueup.diagnose.tuning_of_answers import EVIDENCE
 from trueup.diagnose.windowed_fits import WindowedFits
 from trueup.episode.episode import Episode
-from trueup.fit.convergence import converge
 from trueup.fit.rollout_fit import TWO_SIDED, RolloutFit
 from trueup.model.block import joint, kind
 from trueup.model.plant import Plant
@@ -59,11 +59,20 @@ class Alone:
     value: float
     half: float
 
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The interval."""
+        return self.value - self.half, self.value + self.half
+
+    def document(self, factor: float) -> dict[str, Json]:
+        """The estimate with its interval as JSON, in units of which one of the fit's is so many."""
+        return {"value": factor * self.value, "ci95": [factor * end for end in self.ends]}
+
 
 @dataclass(frozen=True)
 class Difference:
-    """What subsets of the recordings say of one number, by the subset's name; by so many degrees of
-    `freedom` is known how uncertain they are."""
+    """What subsets of the recordings say of one number, by the subset's name. Their intervals rest
+    on so many degrees of `freedom`."""
 
     estimates: Mapping[str, Alone]
     freedom: float = np.inf
@@ -100,21 +109,43 @@ class Difference:
 
     @property
     def contradicts(self) -> bool:
-        """Whether they differ so plainly that it is worth a word."""
+        """Whether they differ so plainly that they do not agree."""
         return self.p < EVIDENCE.contradicts
 
     @property
     def half(self) -> float:
-        """By how much half of an interval is wider, so that it holds one more recording's estimate:
-        by Student's t of the deviation, but no more than the intervals of those recordings reach
-        from the mean that know the number better than they differ, for t of two or three is large
-        whatever they show; 0 where they agree."""
+        """By how much half of an interval is wider; 0 where they agree.
+
+        Student's t of the deviation would hold one more recording's estimate. Of two or three
+        recordings t is large whatever they show, so it is no more than the furthest end of an
+        interval, among those narrower than the deviation, lies from the mean.
+        """
         if not self.differs:
             return 0.0
         each = list(self.estimates.values())
         known = [e for e in each if e.half <= self.deviation] or each
         reach = max(abs(e.value - self.mean) + e.half for e in known)
         return min(students(len(each) - 1) * self.deviation, reach)
+
+    @property
+    def apart(self) -> tuple[str, str] | None:
+        """The two subsets whose intervals lie furthest apart; None where all of them meet."""
+        ends = {name: e.ends for name, e in self.estimates.items()}
+        between = {
+            (a, b): max(ends[a][0] - ends[b][1], ends[b][0] - ends[a][1])
+            for a, b in combinations(ends, 2)
+        }
+        furthest = max(between, key=lambda pair: between[pair])
+        return furthest if between[furthest] > 0.0 else None
+
+    def document(self, factor: float) -> dict[str, Json]:
+        """How they differ as JSON, in units of which one of the fit's is so many."""
+        return {
+            "p": self.p,
+            "deviation": factor * self.deviation,
+            "contradicts": self.contradicts,
+            "apart": list(self.apart) if self.apart else None,
+        }
 
     @cached_property
     def _values(self) -> Array:
@@ -133,7 +164,7 @@ class Difference:
 @dataclass(frozen=True)
 class Excess:
     """How many times larger the variance of each number is than its information and what is left of
-    a sample say, since samples are no independent witnesses; known by so many degrees of
+    a sample say, since errors of samples are correlated; estimated by so many degrees of
     `freedom`."""
 
     ratios: Mapping[Name, float]
@@ -204,29 +235,23 @@ class Agreement:
         return {name: d.half for name, d in self.by_number.items() if d.differs}
 
     def document(self, plant: Plant, minima: Minima) -> list[Json]:
-        """Each number of an effect or of a family, with what every recording says of it and what
-        all say together without the difference, in the declared units, as JSON."""
-        together = intervals(replace(minima, wider={}))
+        """Each number, with what every recording says of it and what all say together without the
+        difference, in the declared units, as JSON."""
+        together, best = intervals(replace(minima, wider={})), minima.best
+        values = dict(zip(best.free.names, best.free.at(best.values), strict=True))
         entries: list[Json] = []
-        for (term, parameter), difference in self.by_number.items():
-            described = named(plant, term, parameter)
-            if described is None:
-                continue
-            words, factor = described
-            low, high = together[term, parameter]
+        for name, difference in self.by_number.items():
+            words, factor = named(plant, *name)
+            low, high = together[name]
             entries.append(
                 {
                     **words,
+                    "value": factor * float(values[name]),
                     "together": [factor * low, factor * high],
-                    "deviation": factor * difference.deviation,
-                    "p": difference.p,
+                    **difference.document(factor),
                     "widens": difference.differs,
                     "recordings": [
-                        {
-                            "sha256": recording,
-                            "value": factor * e.value,
-                            "ci95": [factor * (e.value - e.half), factor * (e.value + e.half)],
-                        }
+                        {"sha256": recording, **e.document(factor)}
                         for recording, e in difference.estimates.items()
                     ],
                 }
@@ -234,9 +259,9 @@ class Agreement:
         return entries
 
 
-def named(plant: Plant, term: str, parameter: str) -> tuple[dict[str, Json], float] | None:
-    """What a number is called, and how many of its declared units one of the fit's own is; None of
-    a combination of a robot's numbers."""
+def named(plant: Plant, term: str, parameter: str) -> tuple[dict[str, Json], float]:
+    """What a number is called, and how many of its declared units one of the fit's own is. A
+    robot's or a simulator's numbers have the units of their own model, which nobody declared."""
     if term:
         number = next(n for n in kind(term).params if n.name == parameter)
         at = joint(term)
@@ -248,9 +273,7 @@ def named(plant: Plant, term: str, parameter: str) -> tuple[dict[str, Json], flo
             "label": number.label,
             "unit": unit(number.scale, plant, at),
         }, in_units(number.scale, plant, at)
-    described = described_by_family(plant).get(parameter)
-    if described is None:
-        return None
+    described = described_by_family(plant).get(parameter, {"label": parameter, "unit": ""})
     return {"effect": None, "parameter": parameter, **described}, 1.0
 
 
@@ -268,21 +291,6 @@ def alone(
     fits: WindowedFits, fit: RolloutFit, subsets: Mapping[str, Sequence[Series]]
 ) -> dict[str, RolloutFit]:
     """A composition fitted to each subset of windows alone, from where `fit` ended; without those
-    in which it runs away. What rests, or a grid has found, stays."""
-    terms = fit.hypothesis.effects
-    grids = [(t, kind(t).zoomed) for t in terms if kind(t).zoomed]
-    fixed = [*fits.resting(fit.values, terms), *grids]
-
-    def of(data: Sequence[Series]) -> RolloutFit:
-        first = fits.fitter.fit(
-            data,
-            fit.hypothesis,
-            fit.values,
-            fits.starts_after(data, fit),
-            iterations=SEARCH.converge_iterations,
-            fixed=fixed,
-        )
-        return first if fits.strategy.robot else converge(fits.fitter, data, first, fixed)
-
-    fitted = zip(subsets, in_parallel(of, list(subsets.values())), strict=True)
-    return {name: f for name, f in fitted if np.isfinite(f.cost)}
+    in which it runs away."""
+    fitted = in_parallel(lambda data: fits.alone(data, fit), list(subsets.values()))
+    return {name: f for name, f in zip(subsets, fitted, strict=True) if np.isfinite(f.cost)}

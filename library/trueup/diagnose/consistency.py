@@ -11,27 +11,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from trueup.canonical import Json
-from trueup.diagnose.between_recordings import Agreement, Difference, alone, named
+from trueup.diagnose.between_recordings import Agreement, Alone, Difference, alone, named
 from trueup.diagnose.data_quality import assess
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.intervals import half_widths
 from trueup.diagnose.problem_setup import Recordings, Setup, in_pieces
+from trueup.diagnose.report import named_term
 from trueup.diagnose.summary_text import sentence
 from trueup.diagnose.tasks import Solve, in_threads
-from trueup.diagnose.tuning import SEARCH
-from trueup.diagnose.windowed_fits import WindowedFits, observed_starts
+from trueup.diagnose.windowed_fits import WindowedFits
 from trueup.doctor.examine import usable
 from trueup.episode.episode import NAME, Episode
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
-from trueup.fit.convergence import converge
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.corrected import Corrected
 from trueup.model.plant import Plant
@@ -42,8 +40,9 @@ SCHEMA = "trueup.consistency/1"
 RECORDING, DAY, HALF = "recording", "day", "half"
 FEWEST = 2  # recordings
 COMPARED = Role.ADAPTATION, Role.VALIDATION
-# conditions that part no recordings: whose log it is, and what the recording is called
-NOT_A_GROUP = ("stage", NAME)
+# conditions that are no grouping of their own: whose log it is, what the recording is called, and
+# what is a grouping already
+NOT_A_GROUP = ("stage", NAME, RECORDING, DAY, HALF)
 NO_NAMES: Mapping[str, str] = MappingProxyType({})
 Progress = Callable[[str, float], None]
 
@@ -71,8 +70,7 @@ def consistency(
 
     With `diagnoses` subsets are diagnosed from the start, too: days and conditions where there are
     such, else the earlier and the later half. Episodes of other roles are kept apart. Raises
-    NotIdentifiable of a model without parameters,
-    and of fewer than two usable recordings.
+    NotIdentifiable of a model without parameters, and of fewer than two usable recordings.
     """
     form = Corrected.form_of(model)
     if form is None:
@@ -107,7 +105,7 @@ def consistency(
     document: dict[str, Json] = {
         "schema": SCHEMA,
         "plant": form.plant.name,
-        "effects": [t.partition("@")[0] for t in form.hypothesis.effects],
+        "effects": [named_term(form.plant, t) for t in form.hypothesis.effects],
         "recordings": [_recording(e, names.get(e.digest)) for e in recorded],
         "groupings": [
             {"grouping": g.name, "subsets": {n: list(d) for n, d in g.subsets.items()}}
@@ -185,68 +183,39 @@ def _together(
         fits = replace(fits, fitter=fits.fitter.holding())
     progress("all recordings together", 0.0)
     values, data = np.array(form.values), fits.adaptation
-    fixed = fits.resting(values, form.hypothesis.effects)
-    first = fits.fitter.fit(data, form.hypothesis, values, iterations=0, fixed=fixed)
-    starts = fits.starts_after(data, first) if fits.pieces else observed_starts(data, first)
-    fit = fits.fitter.fit(
-        data,
-        form.hypothesis,
-        values,
-        starts,
-        iterations=SEARCH.converge_iterations,
-        fixed=fixed,
-    )
+    as_it_is = fits.fitter.fit(data, form.hypothesis, values, iterations=0)
+    fit = fits.alone(data, as_it_is)
     if not np.isfinite(fit.cost):
         raise NotIdentifiable(
             "the model runs away on these recordings, so none of its numbers can be estimated",
             hint="Diagnose the plant first, and name the version of the diagnosis.",
         )
-    return fits, fit if recordings.strategy.robot else converge(fits.fitter, data, fit, fixed)
+    return fits, fit
 
 
 def _numbers(plant: Plant, together: RolloutFit, agreements: Mapping[str, Agreement]) -> list[Json]:
-    """Each number of an effect or of a family: what all recordings say together, and what the
-    subsets of each grouping say."""
+    """Each number: what all recordings say together, and what the subsets of each grouping say."""
     halves = half_widths(together, together)
     entries: list[Json] = []
     for name, value in zip(together.free.names, together.free.at(together.values), strict=True):
-        words = named(plant, *name)
-        if words is None:
-            continue
-        called, factor = words
-        half = halves[name]
+        called, factor = named(plant, *name)
+        estimate = Alone(float(value), halves[name])
         by: list[Json] = [
             _by(grouping, agreement.by_number[name], factor)
             for grouping, agreement in agreements.items()
             if name in agreement.by_number
         ]
-        together_is = [factor * float(value - half), factor * float(value + half)]
-        entries.append({**called, "value": factor * float(value), "ci95": together_is, "by": by})
+        entries.append({**called, **estimate.document(factor), "by": by})
     return entries
 
 
 def _by(grouping: str, difference: Difference, factor: float) -> dict[str, Json]:
-    """What the subsets of one grouping say of a number, and those two of them whose intervals lie
-    furthest apart, None where all of them meet."""
-    ends = {n: (e.value - e.half, e.value + e.half) for n, e in difference.estimates.items()}
-    between = {
-        (a, b): max(ends[a][0] - ends[b][1], ends[b][0] - ends[a][1])
-        for a, b in combinations(ends, 2)
-    }
-    apart = max(between, key=lambda pair: between[pair])
+    """What the subsets of one grouping say of a number."""
     return {
         "grouping": grouping,
-        "p": difference.p,
-        "deviation": factor * difference.deviation,
-        "contradicts": difference.contradicts,
-        "apart": list(apart) if between[apart] > 0.0 else None,
+        **difference.document(factor),
         "subsets": [
-            {
-                "subset": name,
-                "value": factor * difference.estimates[name].value,
-                "ci95": [factor * low, factor * high],
-            }
-            for name, (low, high) in ends.items()
+            {"subset": name, **e.document(factor)} for name, e in difference.estimates.items()
         ],
     }
 

@@ -9,9 +9,8 @@
   are added in quadrature. A number between whose corners the error is flat has the width of the
   grid on which it was found, and the others what gives way to that.
 - Where several minima cost about as much, the interval spans them all.
-- Where recordings, each fitted alone, differ by more than their own intervals allow, it holds what
-  one more recording may show: Student's t of the deviation between them is added in quadrature
-  (`between_recordings`).
+- Where recordings, each fitted alone, differ by more than their own intervals allow, the variance
+  between them widens it, for what one more recording may show (`between_recordings`).
 
 Source: H. White, Econometrica 50 (1982), for the variance of a model that is not exact; K.-Y.
 Liang, S. L. Zeger, Biometrika 73 (1986), by clusters.

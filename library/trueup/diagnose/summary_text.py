@@ -119,9 +119,8 @@ def _in_recordings(
     digests = list(dict.fromkeys(d for f in findings for d in f.get("episodes", ())))
     if not digests or len(digests) >= len(document["evidence"]["episodes"]):
         return ""
-    named = [recording_name(d, names) for d in digests[:MOST_RECORDINGS]]
-    more = len(digests) - len(named)
-    return f" in {', '.join(named)}{f' and {more} more' if more else ''}"
+    named = [recording_name(d, names) for d in digests]
+    return f" in {some_of(named, MOST_RECORDINGS)}"
 
 
 def recording_name(digest: str, names: Mapping[str, str]) -> str:
@@ -355,3 +354,18 @@ def name(entry: Any) -> str:
 def composition(effects: Sequence[Any], nothing: str = "no effect") -> str:
     """Effects that act together, in words."""
     return " with ".join(map(name, effects)) or nothing
+
+
+def number_name(entry: Mapping[str, Any]) -> str:
+    """What a number of a report or of a study is called: an effect's with the effect, a parameter's
+    with its symbol."""
+    label = str(entry["label"]).replace("_", " ")
+    if entry["effect"] is not None:
+        return f"{name({k: entry[k] for k in ('effect', 'joint') if k in entry})} ({label})"
+    return label if entry["label"] == entry["parameter"] else f"{label} {entry['parameter']}"
+
+
+def some_of(names: Sequence[str], most: int) -> str:
+    """Names with commas; of many the first, and how many more there are."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return f"{', '.join(names[:most])}{more}"

@@ -7,7 +7,15 @@ from typing import Any
 
 from trueup.collect.step_warning import off_step
 from trueup.diagnose.number_text import short
-from trueup.diagnose.summary_text import MOST_RECORDINGS, UNNAMED, faults, name, recording_name
+from trueup.diagnose.summary_text import (
+    MOST_NUMBERS,
+    MOST_RECORDINGS,
+    UNNAMED,
+    faults,
+    number_name,
+    recording_name,
+    some_of,
+)
 from trueup.diagnose.tuning_of_answers import EVIDENCE
 
 
@@ -47,11 +55,11 @@ def warnings(document: Mapping[str, Any], names: Mapping[str, str] = UNNAMED) ->
         if (off := off_step(e["period_s"], evidence["timestep_s"]))
     ]
     if late:
-        which = ", ".join(name for name, _ in late[:MOST_RECORDINGS])
-        which += f" and {len(late) - MOST_RECORDINGS} more" if len(late) > MOST_RECORDINGS else ""
-        is_or_are = "is" if len(late) == 1 else "are"
+        which = some_of([name for name, _ in late], MOST_RECORDINGS)
         which = "All recordings" if len(late) == len(episodes) > 1 else which
-        sentences.append(f"{which} {is_or_are} off the declared step: {late[0][1]}.")
+        is_or_are = "is" if len(late) == 1 else "are"
+        first = "" if len({off for _, off in late}) == 1 else f"{late[0][0]} was "
+        sentences.append(f"{which} {is_or_are} off the declared step: {first}{late[0][1]}.")
     if (
         gap["before"] > EVIDENCE.clearly_above_floor * gap["floor"]
         and gap["parameters_only"] > EVIDENCE.misleading * gap["before"]
@@ -61,13 +69,14 @@ def warnings(document: Mapping[str, Any], names: Mapping[str, str] = UNNAMED) ->
             f"worse ({short(gap['parameters_only'])}, was {short(gap['before'])}): "
             "do not use those parameters alone."
         )
-    differ = [
-        _of_number(entry) for entry in document.get("between_recordings", ()) if entry["widens"]
-    ]
+    entries = document.get("between_recordings", ())  # an older report has none
+    differ = [number_name(entry) for entry in entries if entry["widens"]]
     if differ:
+        of_one = len(differ) == 1
         sentences.append(
-            f"Recordings, each fitted alone, differ in {', '.join(differ)}: the interval is "
-            "widened by the variance between them, and holds what one more recording would show."
+            f"Recordings, each fitted alone, differ in {some_of(differ, MOST_NUMBERS)}: "
+            f"{'its interval is' if of_one else 'their intervals are'} widened by the variance "
+            "between recordings, for what one more may show."
         )
     ramps = [name for name, h in evidence.get("holds", {}).items() if _found_to_be_ramp(h)]
     if ramps:
@@ -92,14 +101,6 @@ def warnings(document: Mapping[str, Any], names: Mapping[str, str] = UNNAMED) ->
             "cost is too rough there for a proof."
         )
     return sentences
-
-
-def _of_number(entry: Mapping[str, Any]) -> str:
-    """What a number is called that recordings differ in."""
-    label = entry["label"].replace("_", " ")
-    if entry["effect"] is None:
-        return label if label == entry["parameter"] else f"{label} {entry['parameter']}"
-    return f"{name({k: entry[k] for k in ('effect', 'joint') if k in entry})} ({label})"
 
 
 def _found_to_be_ramp(hold: Mapping[str, Any]) -> bool:

@@ -102,22 +102,8 @@ def _trimmed(search: Search, candidate: Candidate) -> Candidate:
             TRIMMING.ordinary * np.median(fit.costs),
         )
         data = _masked(fits.adaptation, fit, float(limit))
-        values = fits.fitter.fit(
-            data,
-            fit.hypothesis,
-            fit.values,
-            fits.starts_after(data, fit),
-            iterations=TRIMMING.iterations,
-            fixed=fixed,
-        ).values
-        fit = fits.fitter.fit(
-            fits.adaptation,
-            fit.hypothesis,
-            values,
-            fits.starts_after(fits.adaptation, fit),
-            iterations=0,
-            fixed=fixed,
-        )
+        values = fits.taken_on(data, fit, TRIMMING.iterations, fixed).values
+        fit = fits.taken_on(fits.adaptation, replace(fit, values=values), 0, fixed)
     return fits.candidate(fit)
 
 

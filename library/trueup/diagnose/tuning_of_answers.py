@@ -74,7 +74,7 @@ class EvidenceTuning:
         0.05, "probability", "By chance: estimates of recordings that differ so widen the interval."
     )
     contradicts: float = number(
-        0.01, "probability", "By chance: recordings that differ so are worth a word."
+        0.01, "probability", "By chance: recordings that differ so are said not to agree."
     )
     off_minimum: float = number(
         0.1, "half-widths", "A fit that ended further from its minimum is worth a word."

@@ -72,7 +72,7 @@ class WindowedFits:
         Numbers stay that its log does not ask for, or that a grid has found.
         """
         resting = self.resting(fit.values, fit.hypothesis.effects)
-        grids = [(t, kind(t).zoomed) for t in fit.hypothesis.effects if kind(t).zoomed]
+        grids = _on_grids(fit)
         fixed = [*resting, *grids]
         if self.strategy.robot:
             looks = SEARCH.robot_looks
@@ -156,6 +156,27 @@ class WindowedFits:
         puts them, a joint's where they were observed."""
         return self.estimated_starts(data, fit) if self.pieces else observed_starts(data, fit)
 
+    def taken_on(
+        self, data: Sequence[Series], fit: RolloutFit, iterations: int, fixed: Numbers
+    ) -> RolloutFit:
+        """A fit of other windows taken on in these, from its numbers and from where windows start
+        when it goes on."""
+        return self.fitter.fit(
+            data,
+            fit.hypothesis,
+            fit.values,
+            self.starts_after(data, fit),
+            iterations=iterations,
+            fixed=fixed,
+        )
+
+    def alone(self, data: Sequence[Series], fit: RolloutFit) -> RolloutFit:
+        """A composition fitted to some windows alone, from where `fit` ended, to its minimum; of a
+        robot, whose fits take long, until nothing moves. What rests, or a grid has found, stays."""
+        fixed = [*self.resting(fit.values, fit.hypothesis.effects), *_on_grids(fit)]
+        first = self.taken_on(data, fit, SEARCH.converge_iterations, fixed)
+        return first if self.strategy.robot else converge(self.fitter, data, first, fixed)
+
     def estimated_starts(self, data: Sequence[Series], fit: RolloutFit) -> dict[str, Start]:
         """Where the windows of episodes start by a fit, with their initial hidden states.
 
@@ -232,6 +253,11 @@ class WindowedFits:
             squares = np.square(np.where(counted[:, :, None], errors, 0.0)).sum(axis=(0, 1))
         costs = np.nan_to_num(squares, nan=np.inf)[: len(offsets)]
         return Start(start.windows, {**start.memory, key: float(offsets[int(np.argmin(costs))])})
+
+
+def _on_grids(fit: RolloutFit) -> Numbers:
+    """The numbers of a fit that a grid finds, since the error is flat between its corners."""
+    return [(t, kind(t).zoomed) for t in fit.hypothesis.effects if kind(t).zoomed]
 
 
 def trajectory(fitter: Fitter, fit: RolloutFit, s: Series) -> np.ndarray:

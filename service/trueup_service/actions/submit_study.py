@@ -11,7 +11,8 @@ from trueup_service.actions import find
 from trueup_service.actions.submission import Submission, digests_of, require_some
 from trueup_service.registry.records import ArtifactRecord, EpisodeRecord, JobRecord
 
-TOLD = 10  # diagnoses beside a consistency study
+TOLD = 10  # earlier diagnoses beside a consistency study
+FEWEST = 2  # recordings that could agree
 # as which a version stands in for the machine, the first that there is
 STAND_INS = ("corrected", "identified", "nominal")
 
@@ -69,6 +70,11 @@ def submit_consistency(s: Submission) -> JobRecord:
         "earlier": [job.id for job in reversed(earlier)],
     }
     episodes = s.episodes(Role.ADAPTATION, Role.VALIDATION)
+    if len(digests_of(episodes)) < FEWEST:
+        raise NotIdentifiable(
+            "there are not two recordings that could agree",
+            hint="Upload two recordings of the same machine at least.",
+        )
     return _submit_on_shown(s, "consistency", frozen, episodes)
 
 

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.support import robots
+from tests.support.robots import arm_plant
 from trueup.diagnose.between_recordings import Agreement, Alone, Difference
 from trueup.diagnose.consistency import consistency, groupings
 from trueup.diagnose.diagnosis import diagnose
@@ -19,6 +21,7 @@ from trueup.fit.residual import fit_residual
 from trueup.model.corrected import Corrected
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
+from trueup.model.predictor import Nominal
 from trueup.model.series import DECLARED
 from trueup_pages.consistency import names_of, report_page, sentence, view
 
@@ -115,6 +118,18 @@ def test_recordings_are_parted_by_day_and_by_conditions_but_not_as_finely_as_the
     assert {n: len(d) for n, d in halves.subsets.items()} == {"earlier": 3, "later": 2}
 
 
+def test_a_condition_that_is_called_as_a_grouping_is_parts_nothing_twice():
+    episodes = [
+        replace(e, conditions={**e.conditions, "day": "1970-01-02", "half": str(i % 2)})
+        for i, e in enumerate(recorded(0.5, s, 1 + s // 2) for s in range(4))
+    ]
+    parted = {g.name: g.subsets for g in groupings(episodes)}
+    assert list(parted) == ["recording", "day"]
+    assert sorted(d for digests in parted["day"].values() for d in digests) == sorted(
+        e.digest for e in episodes
+    )
+
+
 def test_a_machine_that_changed_overnight_is_told_so(drifted):
     document = consistency(with_friction(0.56), drifted)
     level = number(document, "level")
@@ -146,8 +161,32 @@ def test_a_study_of_days_diagnoses_each_of_them(drifted):
     assert [r["subset"] for r in rows] == ["1970-01-02", "1970-01-03"]
     assert "coulomb_friction" in [e["effect"] for e in rows[0]["effects"]]
     shown = view(document)["diagnoses"][0]
-    assert shown["subset"] == "day 1970-01-02"
+    assert shown["of"] == "day 1970-01-02"
     assert "Coulomb friction" in shown["effects"]
+
+
+def test_earlier_diagnoses_are_no_subsets(alike):
+    document = consistency(with_friction(0.5), alike)
+    rows = [
+        {"grouping": "diagnosis", "subset": f"of 2026-01-0{i}", "verdict": verdict,
+         "sentence": "So.", "effects": []}
+        for i, verdict in enumerate(("no_gap", "parameters_only"), 1)
+    ]  # fmt: skip
+    with_earlier = {**document, "earlier": rows}
+    assert sentence(with_earlier) == sentence(document)
+    page = report_page(with_earlier)
+    assert "Earlier diagnoses" in page
+    assert "Diagnosed alone" not in page
+
+
+def test_numbers_of_a_robot_are_compared_by_their_names(tmp_path):
+    plant = arm_plant(tmp_path)
+    roles = [Role.ADAPTATION, Role.ADAPTATION, Role.VALIDATION]
+    episodes = robots.recorded(plant, lambda _: None, range(3), roles)
+    document = consistency(Nominal(plant), episodes)
+    compared = {n["parameter"] for n in document["numbers"] if n["by"]}
+    assert compared
+    assert "None of" not in sentence(document)
 
 
 def test_the_page_shows_every_recording_and_no_markup_of_a_name(drifted):
