@@ -83,6 +83,58 @@ def test_a_page_that_is_read_says_what_happened_and_stays(seat, others, tmp_path
     expect(seat.page.locator(".notice.live.entry")).to_contain_text("A recording came in")
 
 
+def test_what_happens_while_a_page_loads_is_shown(seat, others, tmp_path):
+    digests = []
+
+    def upload_first(route):
+        digests.append(uploaded(others, tmp_path, 5))
+        route.continue_()
+
+    seat.page.route("**/live?*", upload_first, times=1)
+    seat.go(HOME)
+    seat.page.locator("details > summary", has_text="entries as a list").click()
+    expect(seat.page.locator("#episodes ~ *", has_text=digests[0][:12]).first).to_be_attached()
+
+
+def test_a_refusal_stays_until_it_is_read(seat, others, tmp_path):
+    others.declare_channel(PLANT, "field", ["MIL"])
+    opened(seat, f"{HOME}/channels")
+    seat.page.get_by_label("Name").fill("field")
+    seat.page.get_by_label("SIL", exact=True).check()
+    with seat.page.expect_response(lambda answer: "/live" in answer.url):
+        seat.page.get_by_role("button", name="Declare").click()
+    refusal = seat.page.get_by_role("alert")
+    expect(refusal).to_contain_text("field")
+    uploaded(others, tmp_path, 6)
+    notice = seat.page.locator(".notice.live.entry")
+    expect(notice).to_contain_text("A recording came in")
+    expect(refusal).to_be_visible()
+    notice.get_by_role("link", name="Show it").click()
+    seat.page.wait_for_url(f"**{HOME}")
+    seat.faults[:] = [fault for fault in seat.faults if "409" not in fault]
+
+
+def test_a_stream_that_is_refused_is_asked_for_again(seat, others, tmp_path):
+    seat.page.route("**/live?*", lambda route: route.fulfill(status=503), times=1)
+    opened(seat, HOME)
+    digest = uploaded(others, tmp_path, 7)
+    expect(seat.page.locator("#episodes ~ *", has_text=digest[:12]).first).to_be_attached()
+    seat.faults[:] = [fault for fault in seat.faults if "503" not in fault]
+
+
+def test_each_plant_has_its_own_alarm(seat):
+    said = ""
+    for i, plant in enumerate((PLANT, "other", PLANT), 9):
+        alarm = {"plant": plant, "kind": "alarm:raised", "words": f"An alarm, the {i}th."}
+        said += f"id: {i}\nevent: alarm\ndata: {json.dumps(alarm)}\n\n"
+    headers = {"Content-Type": "text/event-stream"}
+    seat.page.route("**/live?*", lambda route: route.fulfill(body=said, headers=headers))
+    seat.go("/")
+    alarms = seat.page.locator(".notice.live.alarm")
+    expect(alarms).to_have_count(2)
+    expect(alarms.first).to_contain_text("An alarm, the 11th.")
+
+
 def test_an_alarm_leads_to_the_monitor_from_any_page(seat):
     alarm = {"plant": PLANT, "kind": "alarm:raised", "words": f"An alarm was raised on {PLANT}."}
     said = f"id: 9\nevent: alarm\ndata: {json.dumps(alarm)}\n\n"
@@ -132,13 +184,22 @@ def test_a_token_hears_of_its_own_plants_alone(running, others):
     assert [data for kind, data in events(running, token, "?after=0") if kind == "entry"] == []
 
 
+def test_what_happens_elsewhere_hides_nothing_of_a_plant(running, others):
+    for i in range(101):  # more than a stream tells at once
+        others.issue_token(f"reader-{i}", ["engineer"])
+    heard = [data for kind, data in events(running, ADMIN, f"?after=0&plant={PLANT}")]
+    assert heard[0]["words"] == f"A plant was registered on {PLANT}."
+
+
 def test_a_server_that_is_told_to_stop_ends_its_streams(tmp_path):
     service = Service(embedded(tmp_path))
     with service.running(worker=False):
         headers = {"Authorization": f"Bearer {ADMIN}"}
         asked = urllib.request.Request(f"{service.url}/live", headers=headers)
         with urllib.request.urlopen(asked, timeout=60) as stream:
-            assert stream.readline() == b"retry: 3000\n"
+            lines = iter(stream.readline, b"")
+            assert next(lines) == b"retry: 3000\n"
+            assert b"event: at\n" in lines  # it has begun
             began = time.monotonic()
             service.stop()
             assert time.monotonic() - began < GRACE_S

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import APIRouter, Depends, Request, params
 from fastapi.routing import APIRoute
 from starlette.concurrency import run_in_threadpool
 from starlette.types import Receive, Scope, Send
@@ -49,10 +50,20 @@ async def authorise(request: Request, path: str) -> None:
         await _require_plant(request, principal)
 
 
-def guarded(prefix: str, tags: list[str], *, documented: bool = True) -> APIRouter:
-    """A router whose routes are guarded."""
+def guarded(
+    prefix: str,
+    tags: list[str],
+    *,
+    documented: bool = True,
+    dependencies: Sequence[params.Depends] = (),
+) -> APIRouter:
+    """A router whose routes are guarded, and have these dependencies."""
     return APIRouter(
-        prefix=prefix, tags=list(tags), route_class=Guarded, include_in_schema=documented
+        prefix=prefix,
+        tags=list(tags),
+        route_class=Guarded,
+        include_in_schema=documented,
+        dependencies=dependencies,
     )
 
 

@@ -138,13 +138,15 @@ class AuditLog:
         before: int,
         limit: int,
         *,
+        after: int = 0,
         plant: str | None = None,
         project: str | None = None,
         kind: str = "",
     ) -> list[AuditEntry]:
-        """Entries before one, the newest first: all of them, or those of a plant or of the plants
-        of a project. `kind` selects the entries whose kind begins with it."""
-        query = _of(select(t.audit).where(t.audit.c.sequence < before), plant, project)
+        """Entries before one and behind another, the newest first: all of them, or those of a plant
+        or of the plants of a project. `kind` selects the entries whose kind begins with it."""
+        between = t.audit.c.sequence < before, t.audit.c.sequence > after
+        query = _of(select(t.audit).where(*between), plant, project)
         if kind:
             query = query.where(t.audit.c.kind.startswith(kind, autoescape=True, escape=ESCAPE))
         return self._all(query.order_by(t.audit.c.sequence.desc()).limit(limit))

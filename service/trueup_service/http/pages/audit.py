@@ -15,13 +15,13 @@ from trueup.ledger.signed_note import head_of
 from trueup_client.proof import includes
 from trueup_service.authentication import Principal
 from trueup_service.http.dependencies import RequestParts
-from trueup_service.http.guard import CurrentPrincipal, guarded
-from trueup_service.http.pages.page import form, show
+from trueup_service.http.guard import CurrentPrincipal
+from trueup_service.http.pages.page import form, page_router, show
 from trueup_service.registry.transaction import reading
 from trueup_service.signed_log import SignedLog, root_at
 from trueup_service.wiring import Parts
 
-router = guarded("", ["pages"], documented=False)
+router = page_router()
 LINES = 100
 NO_END = 2**62
 

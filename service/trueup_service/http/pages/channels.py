@@ -13,14 +13,13 @@ from trueup.errors import TrueupError
 from trueup_service.actions import find
 from trueup_service.actions.channels import declare_channel, move_channel
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
-from trueup_service.http.guard import guarded
-from trueup_service.http.pages.page import act, checked, form, show, whole_number
+from trueup_service.http.pages.page import act, checked, form, page_router, show, whole_number
 from trueup_service.http.routers.channels import ChannelName
 from trueup_service.http.schemas.serving import ChannelDeclaration
 from trueup_service.registry.transaction import Transaction, reading
 from trueup_service.wiring import Parts
 
-router = guarded("", ["pages"], documented=False)
+router = page_router()
 LISTED = 100
 
 

@@ -15,13 +15,12 @@ from trueup_pages.diagnosis import recordings_of
 from trueup_service.actions import find
 from trueup_service.actor_context import ActorContext
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
-from trueup_service.http.guard import guarded
-from trueup_service.http.pages.page import begin_job, form, go, show
+from trueup_service.http.pages.page import begin_job, form, go, page_router, show
 from trueup_service.registry.records import FINAL, ArtifactRecord, JobRecord
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
-router = guarded("", ["pages"], documented=False)
+router = page_router()
 COMPARISON = "comparison.json"
 Version = Annotated[int, Query(ge=1, le=2**31 - 1)]
 LISTED = 200  # versions to choose from, the newest

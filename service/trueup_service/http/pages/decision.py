@@ -19,14 +19,22 @@ from trueup_service.actions.approve import approve
 from trueup_service.actions.declare_policy import policy_of
 from trueup_service.actions.gate_line import known_at, place
 from trueup_service.http.dependencies import Digest, PlantName, RequestContext, RequestParts
-from trueup_service.http.guard import guarded
-from trueup_service.http.pages.page import act, begin_job, checked, form, go, show, whole_number
+from trueup_service.http.pages.page import (
+    act,
+    begin_job,
+    checked,
+    form,
+    go,
+    page_router,
+    show,
+    whole_number,
+)
 from trueup_service.http.schemas.decisions import ApprovalRequest
 from trueup_service.registry.records import FINAL, DecisionRecord, GateRecord
 from trueup_service.registry.transaction import ReadTransaction, reading
 from trueup_service.wiring import Parts
 
-router = guarded("", ["pages"], documented=False)
+router = page_router()
 
 
 @router.get("/plants/{plant}/decisions/{digest}")

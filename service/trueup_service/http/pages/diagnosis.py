@@ -11,16 +11,15 @@ from fastapi import Request, Response
 from trueup_pages.diagnosis import report_page, view
 from trueup_service.actions import find
 from trueup_service.http.dependencies import PlantName, RequestParts
-from trueup_service.http.guard import guarded
 from trueup_service.http.pages.job_page import as_file, job_of, require_report, until_it_succeeds
 from trueup_service.http.pages.next_step import step_after
-from trueup_service.http.pages.page import show
+from trueup_service.http.pages.page import page_router, show
 from trueup_service.http.routers.jobs import JobId
 from trueup_service.registry.records import JobRecord
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
-router = guarded("", ["pages"], documented=False)
+router = page_router()
 FIGURES, COMMAND = "figures.json", "next_experiment.csv"
 
 

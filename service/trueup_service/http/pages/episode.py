@@ -11,12 +11,11 @@ from fastapi import Query, Request, Response
 from trueup_pages.foxglove import layout
 from trueup_service.actions import find
 from trueup_service.http.dependencies import Digest, PlantName, RequestContext, RequestParts
-from trueup_service.http.guard import guarded
 from trueup_service.http.pages.compare import comparison
-from trueup_service.http.pages.page import begin_job, go, show
+from trueup_service.http.pages.page import begin_job, go, page_router, show
 from trueup_service.registry.transaction import ReadTransaction, reading
 
-router = guarded("", ["pages"], documented=False)
+router = page_router()
 DECLARED = 1  # the version that every plant begins with
 Version = Annotated[int, Query(ge=1, le=2**31 - 1)]
 

@@ -15,12 +15,11 @@ from trueup.errors import BadGate, TrueupError
 from trueup_service.actions import find
 from trueup_service.actions.gate_line import place
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
-from trueup_service.http.guard import guarded
-from trueup_service.http.pages.page import act, form, show
+from trueup_service.http.pages.page import act, form, page_router, show
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
-router = guarded("", ["pages"], documented=False)
+router = page_router()
 
 
 @router.get("/plants/{plant}/gate")

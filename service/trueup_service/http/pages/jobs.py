@@ -16,15 +16,15 @@ from trueup_service.actions import find
 from trueup_service.actions.cancel_job import cancel_job
 from trueup_service.actor_context import END_OF_TIME
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
-from trueup_service.http.guard import CurrentPrincipal, guarded
+from trueup_service.http.guard import CurrentPrincipal
 from trueup_service.http.pages.job_page import job_of, queue_of, until_it_succeeds
-from trueup_service.http.pages.page import HEADERS, begin_job, checked, form, go, show
+from trueup_service.http.pages.page import HEADERS, begin_job, checked, form, go, page_router, show
 from trueup_service.http.pages.study import STUDIES
 from trueup_service.http.routers.jobs import JobId, JobRequest
 from trueup_service.registry.records import FINAL, JobRecord
 from trueup_service.registry.transaction import ReadTransaction, reading, writing
 
-router = guarded("", ["pages"], documented=False)
+router = page_router()
 LISTED = 50
 REQUEST: TypeAdapter[Any] = TypeAdapter(JobRequest)
 LISTS = ("features", "detectors", "versions", "episodes")  # fields that a form separates by commas

@@ -13,15 +13,14 @@ from trueup_service.actions import find
 from trueup_service.actions.alarms import close_alarm
 from trueup_service.actor_context import END_OF_TIME
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
-from trueup_service.http.guard import guarded
-from trueup_service.http.pages.page import act, checked, form, show
+from trueup_service.http.pages.page import act, checked, form, page_router, show
 from trueup_service.http.routers.monitors import AlarmId
 from trueup_service.http.schemas.monitors import Closing
 from trueup_service.registry.overview import gaps_of
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
-router = guarded("", ["pages"], documented=False)
+router = page_router()
 LISTED, SEEN = 20, 40
 
 

@@ -14,11 +14,11 @@ from trueup.errors import TrueupError
 from trueup_service.drafts import Draft, Drafts
 from trueup_service.http.dependencies import Digest, RequestContext, RequestParts
 from trueup_service.http.drafting import register_draft, revise_draft
-from trueup_service.http.guard import CurrentPrincipal, guarded
-from trueup_service.http.pages.page import checked, form, go, show
+from trueup_service.http.guard import CurrentPrincipal
+from trueup_service.http.pages.page import checked, form, go, page_router, show
 from trueup_service.http.schemas.drafts import Wishes
 
-router = guarded("", ["pages"], documented=False)
+router = page_router()
 SYMBOLS = {"q": ("observations", "position"), "v": ("observations", "velocity")}
 STAGES = {
     "physical": "the machine itself (physical)",

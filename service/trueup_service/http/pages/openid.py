@@ -9,13 +9,13 @@ from starlette.concurrency import run_in_threadpool
 
 from trueup_service.errors import Forbidden, NotFound, ProviderAway, SignInRefused
 from trueup_service.http.dependencies import RequestParts
-from trueup_service.http.guard import guarded, origin_of
+from trueup_service.http.guard import origin_of
 from trueup_service.http.openid import FLOW_COOKIE, PATH, OpenIdProvider
-from trueup_service.http.pages.page import own_path, show, wants_page
+from trueup_service.http.pages.page import own_path, page_router, show, wants_page
 from trueup_service.http.sessions import begin_session_of_person, give_cookie
 from trueup_service.http.statuses import status_of
 
-router = guarded("", ["pages"], documented=False)
+router = page_router()
 
 
 @router.get(PATH)

@@ -10,7 +10,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from typing import Any, TypeVar
 from urllib.parse import parse_qs, quote, urlencode
 
-from fastapi import Request
+from fastapi import APIRouter, Depends, Request
 from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import HTMLResponse, RedirectResponse, Response
@@ -24,9 +24,10 @@ from trueup_service.actor_context import ActorContext
 from trueup_service.authentication import Principal
 from trueup_service.control_characters import control_character
 from trueup_service.errors import BadRequest, TooLargeUpload
+from trueup_service.http.guard import guarded
 from trueup_service.http.statuses import status_of
 from trueup_service.registry.records import Role
-from trueup_service.registry.transaction import writing
+from trueup_service.registry.transaction import reading, writing
 from trueup_service.wiring import Parts
 
 T = TypeVar("T")
@@ -56,6 +57,19 @@ def begin_job(
     return job
 
 
+def _note_log(request: Request) -> None:
+    """Note how long the log is before a page reads what it shows, so that the page hears of every
+    entry that it may not show."""
+    if request.method == "GET" and "principal" in request.scope and wants_page(request):
+        with reading(request.app.state.parts.database) as tx:
+            request.state.log_size = tx.log.size()
+
+
+def page_router() -> APIRouter:
+    """A guarded router of pages."""
+    return guarded("", ["pages"], documented=False, dependencies=[Depends(_note_log)])
+
+
 def show(
     request: Request,
     template: str,
@@ -71,6 +85,7 @@ def show(
     here = {
         "who": principal,
         "path": request.url.path,
+        "log_size": getattr(request.state, "log_size", None),
         "status": int(status),
         "may": lambda *roles: may(principal, *roles),
     }

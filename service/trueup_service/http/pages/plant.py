@@ -18,15 +18,14 @@ from trueup_service.actions.move_pointer import older_positions
 from trueup_service.actions.promotion import rehearse_way_back, roll_back
 from trueup_service.actor_context import END_OF_TIME
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
-from trueup_service.http.guard import guarded
 from trueup_service.http.pages.next_step import next_step
-from trueup_service.http.pages.page import act, begin_job, form, go, show, whole_number
+from trueup_service.http.pages.page import act, begin_job, form, go, page_router, show, whole_number
 from trueup_service.http.pages.study import STUDIES
 from trueup_service.registry.overview import gaps_of
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
-router = guarded("", ["pages"], documented=False)
+router = page_router()
 ENTRIES, ROWS = 300, 10
 NO_END = 2**62
 

@@ -7,12 +7,12 @@ from typing import Annotated
 from fastapi import Query, Request, Response
 
 from trueup_service.http.dependencies import RequestParts
-from trueup_service.http.guard import CurrentPrincipal, guarded
-from trueup_service.http.pages.page import show
+from trueup_service.http.guard import CurrentPrincipal
+from trueup_service.http.pages.page import page_router, show
 from trueup_service.registry.overview import plant_lines
 from trueup_service.registry.transaction import reading
 
-router = guarded("", ["pages"], documented=False)
+router = page_router()
 LINES = 50
 
 

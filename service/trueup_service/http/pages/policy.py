@@ -15,13 +15,13 @@ from trueup_service.actions import find
 from trueup_service.actions.declare_policy import declare_policy
 from trueup_service.actions.gate_line import place
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
-from trueup_service.http.guard import CurrentPrincipal, guarded
-from trueup_service.http.pages.page import act, form, show
+from trueup_service.http.guard import CurrentPrincipal
+from trueup_service.http.pages.page import act, form, page_router, show
 from trueup_service.registry.records import Role
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
-router = guarded("", ["pages"], documented=False)
+router = page_router()
 DEFAULTS: dict[str, Any] = {
     "on_alarm": "diagnose",
     "on_diagnosis": "judge",

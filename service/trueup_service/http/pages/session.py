@@ -8,12 +8,12 @@ from starlette.concurrency import run_in_threadpool
 from trueup_pages.assets import by_url, bytes_of, type_of
 from trueup_service.errors import NotFound, Unauthenticated
 from trueup_service.http.dependencies import RequestParts
-from trueup_service.http.guard import guarded, require_own_page
-from trueup_service.http.pages.page import form, go, own_path, show
+from trueup_service.http.guard import require_own_page
+from trueup_service.http.pages.page import form, go, own_path, page_router, show
 from trueup_service.http.sessions import begin_session, end_session, forget_cookie, give_cookie
 from trueup_service.http.statuses import status_of
 
-router = guarded("", ["pages"], documented=False)
+router = page_router()
 FOR_EVER = {"Cache-Control": "public, max-age=31536000, immutable"}
 
 

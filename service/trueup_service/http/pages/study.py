@@ -13,9 +13,8 @@ from fastapi import Request, Response
 from trueup_pages import closed_loop, consistency, open_loop, randomisation
 from trueup_service.actions import find
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
-from trueup_service.http.guard import guarded
 from trueup_service.http.pages.job_page import as_file, job_of, require_report, until_it_succeeds
-from trueup_service.http.pages.page import begin_job, go, show
+from trueup_service.http.pages.page import begin_job, go, page_router, show
 from trueup_service.http.routers.jobs import JobId
 from trueup_service.http.schemas.jobs import (
     ClosedloopRequest,
@@ -27,7 +26,7 @@ from trueup_service.registry.records import JobRecord
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
-router = guarded("", ["pages"], documented=False)
+router = page_router()
 REPORT = "report.json"
 
 

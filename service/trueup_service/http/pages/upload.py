@@ -7,11 +7,10 @@ from fastapi import Request, Response
 from trueup.episode.role import STAGES, Role
 from trueup_service.actions import find
 from trueup_service.http.dependencies import PlantName, RequestParts
-from trueup_service.http.guard import guarded
-from trueup_service.http.pages.page import show
+from trueup_service.http.pages.page import page_router, show
 from trueup_service.registry.transaction import reading
 
-router = guarded("", ["pages"], documented=False)
+router = page_router()
 PURPOSES = {
     Role.ADAPTATION: "models are fitted on it",
     Role.VALIDATION: "held out: it compares and measures, and is never fitted",
