@@ -13,7 +13,7 @@ from cyclopts import Parameter
 from trueup.artifact.model import load
 from trueup.episode.episode import Episode
 from trueup.episode.mcap import read_episode_stream
-from trueup.fit.score import EVERY, FIRST, Scoring, left_out, rollout_rms, score
+from trueup.fit.score import EVERY, FIRST, Scoring, left_out, missed, rms_of, score, score_of
 from trueup.model.predictor import Nominal, Predictor, predict_episode
 from trueup_cli.options import Json
 from trueup_cli.show import as_json, progress, say
@@ -56,17 +56,16 @@ def predict(
         recorded = read_episode_stream(file, episode.stat().st_size, predictor.plant.layout)
     with progress(f"predict {episode.name}"):
         predicted = predict_episode(predictor, recorded, horizon)
-    write_csv(out, predictor, recorded, predicted, measured=measured)
     plant, scoring = predictor.plant, Scoring(horizon, EVERY)
-    every, first = (score(predictor, [recorded], of) for of in (scoring, Scoring(horizon, FIRST)))
+    errors = missed(predictor, recorded, scoring)
+    every = score_of([errors], plant.scales)
+    first = score(predictor, [recorded], Scoring(horizon, FIRST))
     summary = {
         "file": str(out),
         "samples": len(predicted),
         "rms": {
             c.name: float(x)
-            for c, x in zip(
-                plant.layout.observations, rollout_rms(predictor, recorded, horizon), strict=True
-            )
+            for c, x in zip(plant.layout.observations, rms_of(errors, recorded), strict=True)
         },
         "gate": {
             "horizon_s": horizon,
@@ -76,6 +75,7 @@ def predict(
         },
         "left_out": [asdict(s) for s in left_out(plant, recorded, scoring)],
     }
+    write_csv(out, predictor, recorded, predicted, measured=measured)
     if as_json_:
         as_json(summary)
     else:

@@ -169,17 +169,17 @@ def left_out(plant: Plant, episode: Episode, scoring: Scoring) -> list[LeftOut]:
     and where the first window alone counts, all after it. Raises NotAnEpisode where nothing is
     scored."""
     t_s, windows = episode.t_s, scored_windows(plant, episode, scoring)
-    first = float(t_s[windows.first[0]])
+    known_s = float(t_s[known_from(plant, episode)])
     stretches = []
-    if first > 0.0:
-        stretches.append(LeftOut(0.0, first, "the velocity is not known yet"))
+    if known_s > 0.0:
+        stretches.append(LeftOut(0.0, known_s, "the velocity is not known yet"))
     if scoring.windows == FIRST:
         end = float(t_s[windows.first[0] + windows.lengths[0] - 1])
         if end < t_s[-1]:
             why = "the gate scores the first window alone"
             stretches.append(LeftOut(end, float(t_s[-1]), why))
         return stretches
-    every = starts_every(t_s, scoring.horizon_s, first)
+    every = starts_every(t_s, scoring.horizon_s, known_s)
     # a window ends on the sample at which the next one starts
     scored = np.concatenate([windows.first, windows.first + windows.lengths - 1])
     alone = np.setdiff1d(every, scored)
@@ -190,11 +190,15 @@ def left_out(plant: Plant, episode: Episode, scoring: Scoring) -> list[LeftOut]:
     return stretches
 
 
+def rms_of(one: Missed, episode: Episode) -> Array:
+    """Root mean square of what was missed of each observation of an episode, in its own unit,
+    `(observations,)`; nan where it was never observed."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        rms = np.sqrt(np.mean(one.by[:, 1:][one.inside[:, 1:]] ** 2, axis=0))
+    return np.where(np.isfinite(episode.observations).any(axis=0), rms, np.nan)
+
+
 def rollout_rms(predictor: Predictor, episode: Episode, horizon_s: float) -> Array:
     """Root mean square error of each observation over every window, in its own unit,
-    `(observations,)`."""
-    plant: Plant = predictor.plant
-    windows = scored_windows(plant, episode, Scoring(horizon_s, EVERY))
-    missed = predict_observations(predictor, windows) - episode.observations[windows.rows]
-    with np.errstate(over="ignore", invalid="ignore"):
-        return np.asarray(np.sqrt(np.mean(missed[:, 1:][windows.inside[:, 1:]] ** 2, axis=0)))
+    `(observations,)`; nan where it was never observed."""
+    return rms_of(missed(predictor, episode, Scoring(horizon_s, EVERY)), episode)
