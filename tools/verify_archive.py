@@ -45,10 +45,11 @@ KEYS = {
     "imports": "plant", "monitors": "plant digest", "watching": "plant",
     "watches": "plant monitor sequence", "alarms": "id",
     "policies": "plant sequence", "evidence": "plant digest", "channels": "plant name",
-    "channel_moves": "plant channel generation",
+    "channel_moves": "plant channel generation", "webhooks": "name",
+    "labels": "plant kind subject",
 }  # fmt: skip
 ENDORSEMENT = "trueup: the log is signed from here on by"
-OF_NO_PLANT = ("projects", "tokens")
+OF_NO_PLANT = ("projects", "tokens", "webhooks")
 NAMED_BY_DOCUMENT = ("plants", "gates", "decisions", "monitors", "policies", "evidence")
 MOVING_KINDS = {
     "moves": ("pointer:moved", "plant:registered"),
