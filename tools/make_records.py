@@ -14,7 +14,8 @@ RECORDS = (
     "Output", "Job", "QueuedJob", "JobWithReads", "Decision", "Approval", "Evidence",
     "Channel",
     "ChannelPosition", "Policy", "Monitor", "Watch", "Alarm", "MonitorState", "Project", "Token",
-    "IssuedToken", "Webhook", "DeclaredWebhook", "Identity", "AuditEntry",
+    "IssuedToken", "Webhook", "DeclaredWebhook", "Label", "Identity",
+    "AuditEntry",
     "Envelope",
 )  # fmt: skip
 PLAIN = {
@@ -57,7 +58,7 @@ def record(name, schemas):
     description = schema.get("description") or f"{name}, as the service keeps it."
     docstring = textwrap.fill(" ".join(description.split()), 90)
     docstring = docstring.replace("\n", "\n    ") + ("\n    " if "\n" in docstring else "")
-    extended = next((r for r in RECORDS if name != r and name.endswith(r)), None)
+    extended = next((r for r in RECORDS if extends(name, r, schemas)), None)
     base = {} if extended is None else schemas[extended]["properties"]
     fields = [
         f"    {key}: {kind(value)}"
@@ -66,6 +67,12 @@ def record(name, schemas):
     ]
     of = extended or "TypedDict"
     return f'\n\nclass {name}({of}):\n    """{docstring}"""\n\n' + "\n".join(fields) + "\n"
+
+
+def extends(name, other, schemas):
+    """Returns whether a record is another one with more fields, as their names say."""
+    named = name != other and (name.endswith(other) or name.startswith(other))
+    return named and schemas[other]["properties"].items() <= schemas[name]["properties"].items()
 
 
 def kind(schema):

@@ -73,6 +73,7 @@ _GROUPS: dict[str, dict[str, tuple[str, str, tuple[int, ...]]]] = {
         "versions": ("registry:versions", "List a plant's versions.", CALLS_SERVICE),
         "gate": ("registry:gate", "Judge a candidate against what serves.", CALLS_SERVICE),
         "decisions": ("registry:decisions", "List what gates decided.", CALLS_SERVICE),
+        "label": ("label:label", "Name, tag and annotate what a plant has.", CALLS_SERVICE),
         "jobs": ("jobs:jobs", "Show or cancel what is under way.", CALLS_SERVICE),
     },
     "Serve and go back": {

@@ -207,13 +207,19 @@ def _ratio(verdict: dict[str, Any]) -> str:
 
 def versions(plant: PlantName, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """List the versions of a plant's model: declared, fitted, diagnosed or imported."""
-    artifacts = list(connect(url).artifacts(plant))
-    as_json(artifacts) if as_json_ else table(
+    client = connect(url)
+    artifacts = list(client.artifacts(plant))
+    if as_json_:
+        as_json(artifacts)
+        return
+    names = names_of(client, plant, "version")
+    table(
         "",
-        ["version", "artifact", "kind", "made by", "added (UTC)", "by"],
+        ["version", "name", "artifact", "kind", "made by", "added (UTC)", "by"],
         [
             (
                 a["version"],
+                names.get(a["digest"], ""),
                 a["digest"][:12],
                 a["kind"],
                 "a job" if a["job"] else "hand",
@@ -227,13 +233,19 @@ def versions(plant: PlantName, *, url: Url = DEFAULT_URL, as_json_: Json = False
 
 def decisions(plant: PlantName, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """List what gates decided, the newest first."""
-    listed = list(connect(url).decisions(plant))
-    as_json(listed) if as_json_ else table(
+    client = connect(url)
+    listed = list(client.decisions(plant))
+    if as_json_:
+        as_json(listed)
+        return
+    names = names_of(client, plant, "decision")
+    table(
         "",
-        ["decision", "candidate", "accepted", "against", "gate", "decided (UTC)"],
+        ["decision", "name", "candidate", "accepted", "against", "gate", "decided (UTC)"],
         [
             (
                 d["digest"][:12],
+                names.get(d["digest"], ""),
                 d["candidate"][:12],
                 d["accepted"],
                 d["incumbent"][:12],
@@ -243,6 +255,12 @@ def decisions(plant: PlantName, *, url: Url = DEFAULT_URL, as_json_: Json = Fals
             for d in listed
         ],
     )
+
+
+def names_of(client: Client, plant: str, kind: str) -> dict[str, str]:
+    """Returns what things of one kind are called, by digest; without those that have no name."""
+    labels = client.labels(plant, kind)
+    return {one["subject"]: one["name"] for one in labels if one["name"]}
 
 
 def resolve_artifact(client: Client, plant: str, prefix: str) -> str:

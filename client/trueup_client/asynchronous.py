@@ -14,6 +14,7 @@ from trueup_client.async_calls.artifacts import AsyncArtifactCalls
 from trueup_client.async_calls.audit import AsyncAuditCalls
 from trueup_client.async_calls.gates import AsyncGateCalls
 from trueup_client.async_calls.jobs import AsyncJobCalls
+from trueup_client.async_calls.labels import AsyncLabelCalls
 from trueup_client.async_calls.monitoring import AsyncMonitoringCalls
 from trueup_client.async_calls.plants import AsyncPlantCalls
 from trueup_client.async_calls.serving import AsyncServingCalls
@@ -28,6 +29,7 @@ class AsyncClient(
     AsyncGateCalls,
     AsyncJobCalls,
     AsyncServingCalls,
+    AsyncLabelCalls,
     AsyncMonitoringCalls,
     AsyncAccessCalls,
     AsyncAuditCalls,

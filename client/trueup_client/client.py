@@ -9,6 +9,7 @@ from trueup_client.calls.artifacts import ArtifactCalls
 from trueup_client.calls.audit import AuditCalls
 from trueup_client.calls.gates import GateCalls
 from trueup_client.calls.jobs import JobCalls
+from trueup_client.calls.labels import LabelCalls
 from trueup_client.calls.monitoring import MonitoringCalls
 from trueup_client.calls.plants import PlantCalls
 from trueup_client.calls.serving import ServingCalls
@@ -24,6 +25,7 @@ class Client(
     GateCalls,
     JobCalls,
     ServingCalls,
+    LabelCalls,
     MonitoringCalls,
     AccessCalls,
     AuditCalls,

@@ -45,18 +45,11 @@ class Episode(TypedDict):
     created_by: str
 
 
-class EpisodeContext(TypedDict):
+class EpisodeContext(Episode):
     """An episode with what was serving while it was recorded, and how many jobs of each kind
     have read it.
     """
 
-    plant: str
-    digest: str
-    size_bytes: int
-    role: str
-    summary: Document
-    created_at: str
-    created_by: str
     served: list[Document]
     uses: Document
 
@@ -93,16 +86,11 @@ class LooserThan(TypedDict):
     looser: list[str]
 
 
-class GateInLine(TypedDict):
+class GateInLine(Gate):
     """A gate with its place among the gates of its plant: whether it is in force, and in words
     what is looser in it than in the gate before and in each earlier one.
     """
 
-    plant: str
-    digest: str
-    document: Document
-    created_at: str
-    created_by: str
     in_force: bool
     follows: str | None
     looser: list[str]
@@ -151,25 +139,13 @@ class QueuedJob(Job):
     takes_s: float | None
 
 
-class JobWithReads(TypedDict):
+class JobWithReads(Job):
     """A job, the digests of everything that it has read and for what, and the files that it left
     behind.
     """
 
-    id: str
-    plant: str
-    kind: str
-    request: Document
-    state: str
-    progress: float
-    stage: str
-    result: Document | None
-    created_at: str
-    created_by: str
-    updated_at: str
     reads: Document
     outputs: list[Output]
-    operation: str
 
 
 class Decision(TypedDict):
@@ -362,6 +338,22 @@ class DeclaredWebhook(Webhook):
     """A webhook that was declared now, with its secret."""
 
     secret: str
+
+
+class Label(TypedDict):
+    """What people call something of a plant. `subject` is the name of the plant, or the digest
+    of an episode, an artifact or a decision; `updated_at` is empty where nobody has labelled
+    it.
+    """
+
+    plant: str
+    kind: str
+    subject: str
+    name: str | None
+    tags: list[str]
+    note: str | None
+    updated_at: str
+    updated_by: str
 
 
 class Identity(TypedDict):

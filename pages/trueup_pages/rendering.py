@@ -5,6 +5,7 @@ A value that is not marked as markup is escaped, and a missing value is an error
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from functools import cache
 from typing import Any
 
@@ -14,7 +15,9 @@ from markupsafe import Markup
 from trueup.diagnose import number_text, summary_text
 from trueup_pages import copy_as, drawing
 from trueup_pages.assets import text_of, url_of
-from trueup_pages.timeline import timeline
+from trueup_pages.timeline import page_of, timeline, zooms
+
+CLOCK_SET_NS = 631_152_000 * 10**9  # 1990: an earlier time is that of a clock which was never set
 
 
 @cache
@@ -32,6 +35,7 @@ def _environment() -> Environment:
         named=summary_text.name,
         percent=number_text.percent,
         moment=moment,
+        recorded=recorded,
         plain=lambda text: text.replace("_", " "),
     )
     environment.globals.update(
@@ -41,6 +45,8 @@ def _environment() -> Environment:
         words=summary_text,
         numbers=number_text,
         timeline=timeline,
+        zooms=zooms,
+        page_of=page_of,
         command=copy_as.command,
         rest=copy_as.rest,
         rest_of_file=copy_as.rest_of_file,
@@ -51,6 +57,14 @@ def _environment() -> Environment:
 def render(template: str, **values: Any) -> str:
     """Renders a page, or a part of one."""
     return _environment().get_template(template).render(**values)
+
+
+def recorded(at_ns: int) -> Markup:
+    """Returns when a recording began [ns since 1970], in UTC; a dash where its clock was never
+    set."""
+    if at_ns < CLOCK_SET_NS:
+        return Markup("–")
+    return moment(datetime.fromtimestamp(at_ns / 1e9, UTC).isoformat())
 
 
 def moment(at: str) -> Markup:

@@ -168,6 +168,7 @@ def test_a_plant_goes_to_another_site_with_its_whole_history(site, postgres, s3,
     ):
         assert client.serving("p") == before.serving("p")
         assert list(client.history("p")) == list(before.history("p"))
+        assert list(client.labels("p")) == list(before.labels("p")) != []
         assert [e["kind"] for e in client.audit("p")] == ["plant:imported"]
         assert [p["name"] for p in client.plants()] == ["p"]
         assert command(other, "replay", decision).returncode == 0

@@ -34,7 +34,8 @@ NOTHING = {
     "prefix": "0" * 12,
     "table": "plants",
     "name": "none",
-    "kind": "openloop",
+    "kind": "openloop",  # a study's; labels know no such kind, and refuse it
+    "subject": "0" * 64,
     "webhook": "none",
 }
 ROUTES = [

@@ -97,6 +97,10 @@ def pages(running, known):
         "episode": f"{HOME}/episodes/{known['episode']}",
         "decision": f"{HOME}/decisions/{known['decision']}",
         "compare": f"{HOME}/compare?first=1&second=3",
+        "compared": f"{HOME}/compare?v=1&v=2&v=3",
+        "closer": f"{HOME}?since=2026-01-01&until=2126-01-01",
+        "version": f"{HOME}/versions/2",
+        **{of: f"{HOME}/{of}" for of in ("episodes", "versions", "decisions")},
         "rollback": f"{HOME}/rollback",
         "audit": "/audit",
         "new": "/new",
@@ -294,7 +298,7 @@ def test_two_versions_are_compared_by_a_button(seat, running, known):
     seat.press("Enter")
     seat.page.wait_for_url(re.compile("/compare"))
     seat.go(f"{HOME}/compare?first=1&second=2")
-    changed = seat.page.get_by_role("region", name="what changed", exact=True)
+    changed = seat.page.get_by_role("region", name="what differs", exact=True)
     # as it was declared
     expect(changed.get_by_role("row", name="parameter b")).to_contain_text(f"{known['b']:.3g}")
     seat.tab_to("Compare on what was held out")

@@ -79,8 +79,7 @@ class PlantCalls(Transport):
             "part": part,
         }
         said = {name: value for name, value in asked.items() if value is not None}
-        if said:
-            said["name"] = file.name
+        said["name"] = file.name
         media_type = MEDIA_TYPES.get(file.suffix.lower(), "application/octet-stream")
         if os.path.getsize(path) > RESUMABLE_FROM_BYTES:
             upload = url_path("plants", plant, "uploads", digest)
@@ -90,8 +89,8 @@ class PlantCalls(Transport):
         headers = {
             "Content-Digest": f"sha-256=:{sha256}:",
             "Content-Length": str(os.path.getsize(path)),
-            "Content-Type": media_type if said else "application/octet-stream",
-            "Idempotency-Key": key if said else digest,
+            "Content-Type": media_type,
+            "Idempotency-Key": key,
         }
         return json.loads(
             self._connection.whole(

@@ -37,6 +37,7 @@ KEYS: Mapping[str, tuple[str, ...]] = {
     "channels": ("plant", "name"),
     "channel_moves": ("plant", "channel", "generation"),
     "webhooks": ("name",),
+    "labels": ("plant", "kind", "subject"),
 }
 FINAL = ("succeeded", "failed", "cancelled")
 # tables whose rows are named by the digest of their document

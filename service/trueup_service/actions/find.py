@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import TypeVar
 
 from trueup_service.actor_context import time_text
 from trueup_service.errors import NotFound
+from trueup_service.registry.label_record import Labelled
 from trueup_service.registry.records import (
     AlarmRecord,
     ArtifactRecord,
@@ -73,6 +75,13 @@ def webhook(tx: ReadTransaction, name: str) -> WebhookRecord:
 def episode(tx: ReadTransaction, plant: str, digest: str) -> EpisodeRecord:
     """An episode of a plant by its digest. Raises NotFound."""
     return _require(tx.episodes.get(plant, digest), "episode", digest)
+
+
+def names_of_episodes(tx: ReadTransaction, plant: str, digests: Sequence[str]) -> dict[str, str]:
+    """What some episodes are called, by digest: by their label, else as they were recorded; without
+    those that have no name."""
+    labelled = tx.labels.names(plant, Labelled.EPISODE, digests)
+    return {**tx.episodes.names(plant, [d for d in digests if d not in labelled]), **labelled}
 
 
 def uses(tx: ReadTransaction, digest: str) -> dict[str, int]:

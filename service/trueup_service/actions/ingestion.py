@@ -14,8 +14,10 @@ from trueup.episode.role import WATCHED
 from trueup_service.actions import find
 from trueup_service.actions.continue_cycle import Cycle
 from trueup_service.actions.idempotency import Created, created_once
+from trueup_service.actions.label import first_name
 from trueup_service.actor_context import ActorContext
 from trueup_service.inspection import Inspected, PlantContext
+from trueup_service.registry.label_record import Labelled, LabelRecord
 from trueup_service.registry.records import EpisodeRecord
 from trueup_service.registry.transaction import Transaction, reading
 from trueup_service.wiring import Parts
@@ -54,17 +56,18 @@ def ingest(
     key: str | None,
     file: ReceivedFile,
     inspected: Inspected,
+    name: str | None = None,
 ) -> Created:
-    """Make a received file an episode. The bytes are durable first; then one transaction adds the
-    row and its entry of the log, and submits what follows from the episode. Raises NotFound,
-    KeyReused."""
+    """Make a received file, which has a name, an episode. The bytes are durable first; then one
+    transaction adds the row and its entry of the log, and submits what follows from the episode.
+    Raises NotFound, KeyReused."""
     parts.blobs.put(file.digest, file.path)
     is_awaited = inspected.role in WATCHED and _awaits_episodes(parts, plant)
     if is_awaited:
         parts.queue.prepare()
 
     def act(tx: Transaction) -> tuple[EpisodeRecord, bool]:
-        record, is_new = ingest_episode(tx, plant, file.digest, file.size_bytes, inspected, context)
+        record, is_new = ingest_episode(tx, plant, file, inspected, context, name)
         if is_new and is_awaited:
             Cycle(tx, parts.queue, lambda: uuid.uuid4().hex, context).go_on(plant)
         return record, is_new
@@ -81,13 +84,14 @@ def ingest(
 def ingest_episode(
     tx: Transaction,
     plant: str,
-    digest: str,
-    size_bytes: int,
+    file: ReceivedFile,
     inspected: Inspected,
     context: ActorContext,
+    name: str | None = None,
 ) -> tuple[EpisodeRecord, bool]:
-    """The episode of durable bytes, and whether it is new: the same bytes are the same episode.
-    Raises NotFound."""
+    """The episode of a file whose bytes are durable, and whether it is new: the same bytes are the
+    same episode, and keep their first name. Raises NotFound."""
+    digest, size_bytes = file.digest, file.size_bytes
     find.plant_digest(tx, plant)
     tx.plants.lock(plant)
     known = tx.episodes.get(plant, digest)
@@ -115,6 +119,21 @@ def ingest_episode(
         facts["source"] = inspected.summary["source"]
     if inspected.samples_digest is not None:
         facts["samples_digest"] = inspected.samples_digest
+    called = first_name(name, inspected.summary["conditions"])
+    if called is not None:
+        facts["name"] = called
+        tx.labels.put(
+            LabelRecord(
+                plant=plant,
+                kind=Labelled.EPISODE,
+                subject=digest,
+                name=called,
+                tags=[],
+                note=None,
+                updated_at=context.now,
+                updated_by=context.actor,
+            )
+        )
     tx.log.append(context, "episode:ingested", plant=plant, subject=digest, facts=facts)
     return record, True
 

@@ -27,6 +27,8 @@ from trueup_service.http.pages import diagnosis as diagnosis_page
 from trueup_service.http.pages import episode as episode_page
 from trueup_service.http.pages import gate as gate_page
 from trueup_service.http.pages import jobs as jobs_page
+from trueup_service.http.pages import label as label_page
+from trueup_service.http.pages import lists as lists_page
 from trueup_service.http.pages import live as live_page
 from trueup_service.http.pages import monitor as monitor_page
 from trueup_service.http.pages import new_plant as new_plant_page
@@ -37,6 +39,7 @@ from trueup_service.http.pages import policy as policy_page
 from trueup_service.http.pages import session as session_page
 from trueup_service.http.pages import study as study_page
 from trueup_service.http.pages import upload as upload_page
+from trueup_service.http.pages import version as version_page
 from trueup_service.http.registry_metrics import export_gauges
 from trueup_service.http.request_telemetry import RequestTelemetry
 from trueup_service.http.route_index import RouteIndex
@@ -51,6 +54,7 @@ from trueup_service.http.routers import (
     families,
     gates,
     jobs,
+    labels,
     monitors,
     operations,
     plants,
@@ -78,7 +82,7 @@ Errors are `application/problem+json` with a stable `code` and a `hint`. Every P
 
 ROUTERS = (
     serving, plants, drafts, episodes, uploads, telemetry, artifacts, families, gates, jobs,
-    decisions, monitors, policies, channels, audit, access, webhooks,
+    decisions, monitors, policies, channels, labels, audit, access, webhooks,
     operations,
 )  # fmt: skip
 
@@ -99,6 +103,9 @@ PAGES = (
     diagnosis_page,
     decision_page,
     episode_page,
+    lists_page,
+    version_page,
+    label_page,
     compare_page,
     study_page,
     audit_page,

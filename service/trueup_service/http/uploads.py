@@ -197,6 +197,7 @@ def ingest_response(
     key: str | None,
     file: ReceivedFile,
     inspected: Inspected,
+    name: str | None = None,
 ) -> Response:
-    """Make a received file an episode, and respond with it."""
-    return created(ingest(parts, context, plant, key, file, inspected), Episode)
+    """Make a received file, which has a name, an episode, and respond with it."""
+    return created(ingest(parts, context, plant, key, file, inspected, name), Episode)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from sqlalchemy import bindparam, func, select
 
 from trueup_service.registry import tables as t
@@ -10,6 +12,10 @@ from trueup_service.registry.repository import Repository
 
 _LATEST_VERSION = select(func.max(t.artifacts.c.version)).where(
     t.artifacts.c.plant == bindparam("plant")
+)
+_NUMBERS = select(t.artifacts.c.digest, t.artifacts.c.version).where(
+    t.artifacts.c.plant == bindparam("of_plant"),
+    t.artifacts.c.digest.in_(bindparam("digests", expanding=True)),
 )
 
 
@@ -33,6 +39,11 @@ class Artifacts(Repository[ArtifactRecord]):
     def newest_of_kind(self, plant: str, kind: str) -> ArtifactRecord | None:
         """The newest artifact of a plant whose model is of a kind."""
         return self._last("version", plant=plant, kind=kind)
+
+    def numbers(self, plant: str, digests: Sequence[str]) -> dict[str, int]:
+        """The numbers of some versions of a plant, by digest."""
+        rows = self._gateway.in_parts(_NUMBERS, "digests", digests, {"of_plant": plant})
+        return {str(row.digest): int(row.version) for row in rows}
 
     def latest_version(self, plant: str) -> int:
         """The highest version of a plant, 0 where there is none."""

@@ -151,6 +151,13 @@ class AuditLog:
             query = query.where(t.audit.c.kind.startswith(kind, autoescape=True, escape=ESCAPE))
         return self._all(query.order_by(t.audit.c.sequence.desc()).limit(limit))
 
+    def entries_between(self, plant: str, since: str, until: str, limit: int) -> list[AuditEntry]:
+        """The newest entries of a plant from one time to another, the newest first."""
+        query = select(t.audit).where(
+            t.audit.c.plant == plant, t.audit.c.at >= since, t.audit.c.at <= until
+        )
+        return self._all(query.order_by(t.audit.c.sequence.desc()).limit(limit))
+
     def first_entry(self, subject: str, kind: str) -> AuditEntry | None:
         """The first entry of a kind on a subject."""
         return self._gateway.one(

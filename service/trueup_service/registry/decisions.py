@@ -96,6 +96,22 @@ class Decisions(Repository[DecisionRecord]):
         )
         return list(self._connection.scalars(query.limit(limit)))
 
+    def newest_on(self, plant: str, candidates: Sequence[str]) -> dict[str, DecisionRecord]:
+        """The newest decision on each of some candidates, by candidate; without those that were
+        never judged."""
+        query = select(t.decisions).where(
+            t.decisions.c.plant == plant, t.decisions.c.candidate.in_(candidates)
+        )
+        return {d.candidate: d for d in self._all(query.order_by(t.decisions.c.created_at))}
+
+    def between(self, plant: str, artifacts: Sequence[str]) -> list[DecisionRecord]:
+        """The decisions of a plant that name one of some artifacts as candidate or incumbent, in
+        the order in which they were made."""
+        of = t.decisions.c
+        named = of.candidate.in_(artifacts) | of.incumbent.in_(artifacts)
+        query = select(t.decisions).where(of.plant == plant, named)
+        return self._all(query.order_by(of.created_at, of.digest))
+
     def naming(self, plant: str, artifact: str) -> list[str]:
         """The digests of the decisions that name an artifact as candidate or incumbent."""
         query = select(t.decisions.c.digest).where(

@@ -6,10 +6,12 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import select
+from sqlalchemy import ColumnElement, select
 
 from trueup_service.registry import tables as t
 from trueup_service.registry.audit_log import ESCAPE
+from trueup_service.registry.label_record import Labelled, LabelRecord
+from trueup_service.registry.labels import has_tag
 from trueup_service.registry.transaction import ReadTransaction
 
 WATCHED = 40  # episodes of a gap
@@ -34,6 +36,7 @@ class PlantLine:
     decision: str | None
     decided_at: str | None
     accepted: bool | None
+    label: LabelRecord | None
 
 
 def plant_lines(
@@ -43,10 +46,12 @@ def plant_lines(
     *,
     of: str | None,
     project: str | None,
-    containing: str,
+    containing: str = "",
+    tag: str = "",
+    alarmed: bool = False,
 ) -> list[PlantLine]:
-    """Plants whose name contains some text, by name from behind one: all of them, those of a
-    project, or the plant `of` alone."""
+    """Plants by name from behind one: all of them, those of a project, or the plant `of` alone;
+    those whose name or label contains some text, that have a tag, or whose alarm is open."""
     last = (
         select(t.alarms.c.raised_at)
         .where(t.alarms.c.plant == t.plants.c.name)
@@ -69,11 +74,12 @@ def plant_lines(
     names = select(t.plants.c.name).where(t.plants.c.name > after)
     names = names if of is None else names.where(t.plants.c.name == of)
     names = names if project is None else names.where(t.plants.c.project == project)
-    names = (
-        names
-        if not containing
-        else names.where(t.plants.c.name.contains(containing, autoescape=True, escape=ESCAPE))
-    )
+    if containing:
+        labelled = _labelled(t.labels.c.name.icontains(containing, autoescape=True, escape=ESCAPE))
+        named = t.plants.c.name.contains(containing, autoescape=True, escape=ESCAPE)
+        names = names.where(named | labelled)
+    names = names if not tag else names.where(_labelled(has_tag(tag)))
+    names = names if not alarmed else names.where(is_open)
     page = names.order_by(t.plants.c.name).limit(limit).subquery()
     query = (
         select(
@@ -98,8 +104,18 @@ def plant_lines(
         .order_by(t.plants.c.name)
     )
     rows = [dict(row) for row in tx.connection.execute(query).mappings()]
-    gaps = gaps_of(tx, [row["name"] for row in rows])
-    return [PlantLine(gap=gaps.get(row["name"], ()), **row) for row in rows]
+    listed = [row["name"] for row in rows]
+    gaps, labels = gaps_of(tx, listed), tx.labels.of_plants(listed)
+    return [
+        PlantLine(gap=gaps.get(row["name"], ()), label=labels.get(row["name"]), **row)
+        for row in rows
+    ]
+
+
+def _labelled(condition: ColumnElement[bool]) -> ColumnElement[bool]:
+    """The condition that a plant has a label which meets one."""
+    of = t.labels.c
+    return t.plants.c.name.in_(select(of.plant).where(of.kind == Labelled.PLANT, condition))
 
 
 def gaps_of(tx: ReadTransaction, plants: Sequence[str]) -> dict[str, tuple[float, ...]]:

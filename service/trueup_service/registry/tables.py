@@ -14,7 +14,6 @@ from sqlalchemy import (
     ForeignKeyConstraint,
     Index,
     Integer,
-    LargeBinary,
     String,
     Table,
     Text,
@@ -31,8 +30,9 @@ from trueup_service.registry.columns import (
     metadata,
     plant_column,
 )
+from trueup_service.registry.log_tables import audit, audit_head, audit_key, audit_tree
 
-__all__ = ["metadata"]
+__all__ = ["audit", "audit_head", "audit_key", "audit_tree", "metadata"]
 
 projects = Table("projects", metadata, Column("name", NAME, primary_key=True), *created())
 
@@ -85,6 +85,20 @@ episodes = Table(
     Column("samples_digest", DIGEST),
     Index(None, "plant", "role", "created_at"),
     Index(None, "samples_digest"),
+)
+
+labels = Table(
+    "labels",
+    metadata,
+    plant_column(primary_key=True),
+    Column("kind", String(16), primary_key=True),
+    Column("subject", String(64), primary_key=True),
+    Column("name", Text),
+    document("tags"),
+    Column("note", Text),
+    Column("updated_at", AT, nullable=False),
+    Column("updated_by", Text, nullable=False),
+    Index(None, "kind", "plant"),
 )
 
 artifacts = Table(
@@ -349,44 +363,6 @@ webhook_cursors = Table(
     Column("due_at", AT),
     Column("problem", Text),
     Column("stopped_at", AT),
-)
-
-audit = Table(
-    "audit",
-    metadata,
-    Column("sequence", BigInteger, primary_key=True, autoincrement=False),
-    Column("at", AT, nullable=False),
-    Column("kind", String(32), nullable=False),
-    Column("actor", Text, nullable=False),
-    Column("plant", NAME),
-    Column("subject", Text, nullable=False),
-    document("facts"),
-    document("rows"),
-    Index(None, "plant", "sequence"),
-    Index(None, "subject"),
-)
-
-audit_tree = Table(
-    "audit_tree",
-    metadata,
-    Column("node", BigInteger, primary_key=True, autoincrement=False),
-    Column("hash", LargeBinary(32), nullable=False),
-)
-
-audit_head = Table(
-    "audit_head",
-    metadata,
-    Column("id", Integer, primary_key=True, autoincrement=False),
-    Column("size", BigInteger, nullable=False),
-    Column("frontier", LargeBinary, nullable=False),
-)
-
-audit_key = Table(
-    "audit_key",
-    metadata,
-    Column("id", Integer, primary_key=True, autoincrement=False),
-    Column("verifier", Text, nullable=False),
-    Column("endorsement", Text),
 )
 
 idempotency = Table(

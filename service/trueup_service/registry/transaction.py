@@ -2,8 +2,9 @@
 was written.
 
 Nothing here updates or deletes an episode, an artifact, a gate, a decision, a move or an entry of
-the log. Only a job's progress, the generation that serves, where a monitor or a webhook stands, and
-whether a token is revoked, an alarm is open or a webhook is removed change.
+the log. Only a job's progress, the generation that serves, where a monitor or a webhook stands,
+what people call things, and whether a token is revoked, an alarm is open or a webhook is removed
+change.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from trueup_service.registry.episodes import Episodes
 from trueup_service.registry.gates import Gates, Policies
 from trueup_service.registry.idempotency import Idempotency
 from trueup_service.registry.jobs import Jobs, Outputs
+from trueup_service.registry.labels import Labels
 from trueup_service.registry.monitors import Alarms, Monitors, Watches
 from trueup_service.registry.plants import Plants, Projects
 from trueup_service.registry.repository import TableGateway
@@ -46,7 +48,7 @@ class ReadTransaction:
         self.log = AuditLog(gateway)
         self.plants, self.projects = Plants(gateway), Projects(gateway)
         self.tokens, self.sessions = Tokens(gateway), Sessions(gateway)
-        self.episodes = Episodes(gateway)
+        self.episodes, self.labels = Episodes(gateway), Labels(gateway)
         self.artifacts = Artifacts(gateway)
         self.gates, self.policies = Gates(gateway, self.log), Policies(gateway)
         self.decisions, self.approvals = Decisions(gateway), Approvals(gateway)

@@ -1,21 +1,24 @@
-"""The page of two versions: what changed, and where the second is better or worse."""
+"""The page of up to six versions: what differs, how they were judged over time, and of two where
+the second is better or worse."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 import orjson
 from fastapi import Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from trueup.diagnose.number_text import short
-from trueup.diagnose.summary_text import name
 from trueup_pages.diagnosis import recordings_of
+from trueup_pages.versions import differences, judged, summary
 from trueup_service.actions import find
 from trueup_service.actor_context import ActorContext
+from trueup_service.errors import BadRequest
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
 from trueup_service.http.pages.page import begin_job, form, go, page_router, show
+from trueup_service.registry.label_record import Labelled
 from trueup_service.registry.records import FINAL, ArtifactRecord, JobRecord
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
@@ -24,6 +27,8 @@ router = page_router()
 COMPARISON = "comparison.json"
 Version = Annotated[int, Query(ge=1, le=2**31 - 1)]
 LISTED = 200  # versions to choose from, the newest
+MOST = 6  # versions beside each other
+Versions = Annotated[Sequence[Version], Query(max_length=100)]
 
 
 @router.get("/plants/{plant}/compare")
@@ -33,30 +38,49 @@ def compare(
     plant: PlantName,
     first: Version | None = None,
     second: Version | None = None,
+    v: Versions = (),
 ) -> Response:
-    """What changed, and the result of the newest comparison, if there is one; by default of what
-    serves and the newest other version."""
+    """What differs between up to six versions, and how they were judged over time; of two, by
+    default of what serves and the newest other version, also the newest comparison."""
     with reading(parts.database) as tx:
-        serving, newest = find.serving(tx, plant).version, tx.artifacts.latest_version(plant)
-        first = first or serving
-        second = second or (newest if newest != first else max(newest - 1, 1))
-        both = [find.version(tx, plant, v) for v in (first, second)]
-        asked = [a.digest for a in both]
+        serving, latest = find.serving(tx, plant).version, tx.artifacts.latest_version(plant)
+        chosen = list(dict.fromkeys(v)) or [n for n in (first, second) if n is not None]
+        if len(chosen) > MOST:
+            raise BadRequest(
+                f"{len(chosen)} versions are too many to compare",
+                hint=f"Choose two to {MOST} of them.",
+                field="v",
+            )
+        chosen = chosen if len(chosen) > 1 else _pair(chosen, serving, latest)
+        records = [find.version(tx, plant, n) for n in chosen]
+        asked = [r.digest for r in records]
         job = tx.jobs.last_matching(
             plant,
             "compare",
             lambda r: [r["first"], r["second"]] == asked and len(r["episodes"]) > 1,
         )
-        latest = tx.artifacts.latest_version(plant)
-    values = {
+        decisions = tx.decisions.between(plant, asked)
+        gates = {g: find.gate(tx, plant, g).document for g in {d.gate for d in decisions}}
+        labels = tx.labels.names(plant, Labelled.VERSION, asked)
+    values: dict[str, Any] = {
         "plant": plant,
-        "first": both[0],
-        "second": both[1],
+        "chosen": records,
+        "called": labels,
         "versions": range(max(1, latest - LISTED + 1), latest + 1),
-        "changes": _changes(*both),
-        **comparison(parts, job, both),
+        "changes": differences([_described(r) for r in records]),
+        "judged": judged(plant, decisions, {r.digest: r.version for r in records}, gates),
+        "numbers": {r.digest: r.version for r in records},
     }
+    if len(records) > 2:  # noqa: PLR2004 - a comparison on recordings is of two
+        return show(request, "compare_many.html", 200, **values)
+    values |= {"first": records[0], "second": records[1], **comparison(parts, job, records)}
     return show(request, "compare.html", 200, **values)
+
+
+def _pair(chosen: Sequence[int], serving: int, newest: int) -> list[int]:
+    """Two versions: the one that was chosen or serves, and the newest other one."""
+    first = chosen[0] if chosen else serving
+    return [first, newest if newest != first else max(newest - 1, 1)]
 
 
 @router.post("/plants/{plant}/compare")
@@ -101,46 +125,12 @@ def comparison(parts: Parts, job: JobRecord | None, both: list[ArtifactRecord]) 
     }
 
 
-def _changes(first: ArtifactRecord, second: ArtifactRecord) -> list[dict[str, Any]]:
-    """What differs between two versions, one row for each property."""
-    summaries = [_summary(a) for a in (first, second)]
-    rows = []
-    for what in dict.fromkeys([*summaries[0], *summaries[1]]):
-        pair = [t.get(what, "–") for t in summaries]
-        rows.append(
-            {"what": what, "first": pair[0], "second": pair[1], "differs": pair[0] != pair[1]}
-        )
-    return rows
-
-
-def _summary(record: ArtifactRecord) -> dict[str, str]:
-    manifest: dict[str, Any] = json.loads(record.manifest)
-    predictor, provenance = manifest.get("predictor", {}), manifest.get("provenance", {})
-    nominal = manifest["plant"]["document"]["nominal"].get("parameters", {})
-    summary = {
+def _described(record: ArtifactRecord) -> dict[str, str]:
+    """A version in words."""
+    return {
         "kind": record.kind,
         "artifact": record.digest[:16],
         "made": record.created_at[:19].replace("T", " "),
         "by": record.created_by,
+        **summary(json.loads(record.manifest)),
     }
-    numbers = predictor.get("parameters") or nominal
-    if isinstance(numbers, dict):
-        summary |= {
-            f"parameter {key}": short(value)
-            for key, value in numbers.items()
-            if isinstance(value, int | float)
-        }
-    for effect in predictor.get("effects", []):
-        summary |= {
-            f"{name(effect)}, {key}": short(value) for key, value in effect["parameters"].items()
-        }
-    if predictor.get("features"):
-        summary["features"] = ", ".join(predictor["features"])
-    summary["origin"] = str(
-        provenance.get("origin")
-        or provenance.get("configuration", {}).get("document", {}).get("method", "–")
-    )
-    summary["code"] = str(provenance.get("code", {}).get("sha256", "–"))[:16]
-    read = provenance.get("configuration", {}).get("document", {}).get("episodes")
-    summary["episodes"] = str(len(read)) if read else "–"
-    return summary

@@ -18,6 +18,7 @@ from trueup_service.actions import find, promotion
 from trueup_service.actions.approve import approve
 from trueup_service.actions.declare_policy import policy_of
 from trueup_service.actions.gate_line import known_at, place
+from trueup_service.actions.label import label_of
 from trueup_service.http.dependencies import Digest, PlantName, RequestContext, RequestParts
 from trueup_service.http.pages.page import (
     act,
@@ -30,6 +31,7 @@ from trueup_service.http.pages.page import (
     whole_number,
 )
 from trueup_service.http.schemas.decisions import ApprovalRequest
+from trueup_service.registry.label_record import Labelled
 from trueup_service.registry.records import FINAL, DecisionRecord, GateRecord
 from trueup_service.registry.transaction import ReadTransaction, reading
 from trueup_service.wiring import Parts
@@ -63,9 +65,12 @@ def _page(
             plan = inclusion(entry.sequence - 1, tree.size)
             proof = [h.hex() for h in prove(plan, tx.log.nodes([n for part in plan for n in part]))]
         anew = tx.jobs.last_matching(plant, "recompute", lambda r: r["decision"] == digest)
+        episodes: Any = made.document["episodes"]
         values: dict[str, Any] = {
             "plant": plant,
             "made": made,
+            "label": label_of(tx, plant, Labelled.DECISION, digest),
+            "names": find.names_of_episodes(tx, plant, episodes),
             "whole": digest_of(made.document) == digest,
             "gate": gate,
             "artifacts": both,

@@ -67,4 +67,6 @@ def _results(
 def _names(parts: Parts, plant: str, report: Mapping[str, Any]) -> dict[str, str]:
     """What the recordings of a report are called, by digest."""
     with reading(parts.database) as tx:
-        return tx.episodes.names(plant, [e["sha256"] for e in report["evidence"]["episodes"]])
+        return find.names_of_episodes(
+            tx, plant, [e["sha256"] for e in report["evidence"]["episodes"]]
+        )

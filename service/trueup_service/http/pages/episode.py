@@ -10,9 +10,11 @@ from fastapi import Query, Request, Response
 
 from trueup_pages.foxglove import layout
 from trueup_service.actions import find
+from trueup_service.actions.label import label_of
 from trueup_service.http.dependencies import Digest, PlantName, RequestContext, RequestParts
 from trueup_service.http.pages.compare import comparison
 from trueup_service.http.pages.page import begin_job, go, page_router, show
+from trueup_service.registry.label_record import Labelled
 from trueup_service.registry.transaction import ReadTransaction, reading
 
 router = page_router()
@@ -36,6 +38,7 @@ def episode(request: Request, parts: RequestParts, plant: PlantName, digest: Dig
         values: dict[str, Any] = {
             "plant": plant,
             "episode": record,
+            "label": label_of(tx, plant, Labelled.EPISODE, digest),
             "uses": {purpose: count for purpose, count in find.uses(tx, digest).items() if count},
             "served": find.served_during(tx, record),
             "serving": serving,

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import uuid
-from typing import Any
+from datetime import UTC, datetime
+from typing import Annotated, Any
 
-from fastapi import Request, Response
+from fastapi import Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from trueup.episode.role import STAGES
@@ -14,25 +15,33 @@ from trueup.ledger.pointer import NothingToRollBackTo
 from trueup_pages.jobs import name_of
 from trueup_service.actions import find
 from trueup_service.actions.gate_line import place
+from trueup_service.actions.label import label_of
 from trueup_service.actions.move_pointer import older_positions
 from trueup_service.actions.promotion import rehearse_way_back, roll_back
-from trueup_service.actor_context import END_OF_TIME
+from trueup_service.actor_context import END_OF_TIME, time_text
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
 from trueup_service.http.pages.next_step import next_step
 from trueup_service.http.pages.page import act, begin_job, form, go, page_router, show, whole_number
 from trueup_service.http.pages.study import STUDIES
+from trueup_service.registry.label_record import Labelled
+from trueup_service.registry.listing import Wanted, lines
 from trueup_service.registry.overview import gaps_of
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
 router = page_router()
-ENTRIES, ROWS = 300, 10
+ENTRIES, MOST_ENTRIES, ROWS = 300, 2000, 10
+Moment = Annotated[str, Query(max_length=40, description="A time, ISO 8601")]
 NO_END = 2**62
 
 
 @router.get("/plants/{plant}")
-def plant_page(request: Request, parts: RequestParts, plant: PlantName) -> Response:
-    """What serves, the newest entries, and the newest of everything."""
+def plant_page(
+    request: Request, parts: RequestParts, plant: PlantName, since: Moment = "", until: Moment = ""
+) -> Response:
+    """What serves, what happened of late or from one time to another, and the newest of
+    everything."""
+    window = _window(since, until)
     with reading(parts.database) as tx:
         record = find.plant(tx, plant)
         serving = find.serving(tx, plant)
@@ -43,8 +52,10 @@ def plant_page(request: Request, parts: RequestParts, plant: PlantName) -> Respo
         latest = tx.artifacts.latest_version(plant)
         policy = tx.policies.in_force(plant)
         versions = list(reversed(tx.artifacts.page(plant, max(latest - ROWS, 0), ROWS)))
+        newest, episode_count = lines(tx, plant, Labelled.EPISODE, Wanted("-uploaded"))
         values: dict[str, Any] = {
             "plant": record,
+            "label": label_of(tx, plant, Labelled.PLANT, plant),
             "serving": serving,
             "artifact": artifact,
             "back": back,
@@ -67,10 +78,25 @@ def plant_page(request: Request, parts: RequestParts, plant: PlantName) -> Respo
             "job_name": name_of,
             "study_names": {kind: of.name for kind, of in STUDIES.items()},
             "diagnoses": [j for j in jobs if j.kind == "diagnose"][:ROWS],
-            "episodes": tx.episodes.of_roles(plant, ("adaptation", "validation"))[:ROWS],
-            "entries": tx.log.newest_entries(NO_END, ENTRIES, plant=plant),
+            "called": tx.labels.names(plant, Labelled.VERSION, [v.digest for v in versions]),
+            "episodes": newest[:ROWS],
+            "episode_count": episode_count,
+            "window": window,
+            "entries": tx.log.newest_entries(NO_END, ENTRIES, plant=plant)
+            if window is None
+            else tx.log.entries_between(plant, *window, MOST_ENTRIES),
         }
     return show(request, "plant.html", **values)
+
+
+def _window(since: str, until: str) -> tuple[str, str] | None:
+    """The stretch of time that an address asks for; None where it asks for none, or makes no
+    sense."""
+    try:
+        both = [datetime.fromisoformat(at).astimezone(UTC) for at in (since, until)]
+    except (ValueError, OverflowError):
+        return None
+    return (time_text(both[0]), time_text(both[1])) if both[0] < both[1] else None
 
 
 @router.post("/plants/{plant}/diagnoses")

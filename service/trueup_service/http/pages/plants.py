@@ -6,6 +6,7 @@ from typing import Annotated
 
 from fastapi import Query, Request, Response
 
+from trueup_service.actions.label import MOST_OF_TAG
 from trueup_service.http.dependencies import RequestParts
 from trueup_service.http.guard import CurrentPrincipal
 from trueup_service.http.pages.page import page_router, show
@@ -14,6 +15,7 @@ from trueup_service.registry.transaction import reading
 
 router = page_router()
 LINES = 50
+OPEN = "open"  # the alarms to which the page is filtered
 
 
 @router.get("/")
@@ -22,12 +24,33 @@ def plants(
     parts: RequestParts,
     principal: CurrentPrincipal,
     q: Annotated[str, Query(max_length=63)] = "",
+    tag: Annotated[str, Query(max_length=MOST_OF_TAG)] = "",
+    alarm: Annotated[str, Query(max_length=4)] = "",
     after: Annotated[str, Query(max_length=63)] = "",
 ) -> Response:
-    """The plants that the token sees and whose name contains `q`, by name."""
+    """The plants that the token sees, by name: those whose name contains `q`, that have a tag, or
+    whose alarm is open."""
     with reading(parts.database) as tx:
         lines = plant_lines(
-            tx, after, LINES + 1, of=principal.plant, project=principal.project, containing=q
+            tx,
+            after,
+            LINES + 1,
+            of=principal.plant,
+            project=principal.project,
+            containing=q.strip(),
+            tag=" ".join(tag.lower().split()),
+            alarmed=alarm == OPEN,
         )
     more = lines[LINES - 1].name if len(lines) > LINES else None
-    return show(request, "plants.html", lines=lines[:LINES], q=q, after=after, more=more)
+    asked = {k: v for k, v in (("q", q), ("tag", tag), ("alarm", alarm)) if v}
+    return show(
+        request,
+        "plants.html",
+        lines=lines[:LINES],
+        q=q,
+        tag=tag,
+        alarm=alarm,
+        asked=asked,
+        after=after,
+        more=more,
+    )

@@ -87,7 +87,14 @@ async def upload(
             return await run_in_threadpool(ingest_response, parts, context, plant, key, file, known)
         async with inspected_episode(request, file, against, described) as (episode, inspected):
             return await run_in_threadpool(
-                ingest_response, parts, context, plant, key, episode, inspected
+                ingest_response,
+                parts,
+                context,
+                plant,
+                key,
+                episode,
+                inspected,
+                described.name,
             )
 
 

@@ -148,7 +148,14 @@ async def _finished(
         file = ReceivedFile(path, digest, path.stat().st_size)
         async with inspected_episode(request, file, against, described) as (episode, inspected):
             return await run_in_threadpool(
-                ingest_response, parts, context, plant, key, episode, inspected
+                ingest_response,
+                parts,
+                context,
+                plant,
+                key,
+                episode,
+                inspected,
+                described.name,
             )
     except DigestMismatch:
         uploads.drop(plant, digest)

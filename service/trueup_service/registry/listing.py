@@ -1,0 +1,120 @@
+"""Lists of what a plant has, with labels: sorted, filtered, a page at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import ColumnElement, Select, Table, func, select
+
+from trueup_service.registry import tables as t
+from trueup_service.registry.audit_log import ESCAPE
+from trueup_service.registry.label_record import Labelled, LabelRecord
+from trueup_service.registry.labels import has_tag
+from trueup_service.registry.records import ArtifactRecord, DecisionRecord, EpisodeRecord
+from trueup_service.registry.row_format import record_from_row
+from trueup_service.registry.transaction import ReadTransaction
+
+LINES = 50  # of a page
+
+
+@dataclass(frozen=True, slots=True)
+class Listed:
+    """What is listed of a kind: its table and records, the columns that it can be sorted by, the
+    first one by default, and the one whose values select some."""
+
+    table: Table
+    record: type[Any]
+    sorts: Mapping[str, ColumnElement[Any]]
+    selecting: ColumnElement[Any]
+
+
+_EPISODES, _VERSIONS, _DECISIONS = t.episodes.c, t.artifacts.c, t.decisions.c
+LISTED: Mapping[Labelled, Listed] = {
+    Labelled.EPISODE: Listed(
+        t.episodes,
+        EpisodeRecord,
+        {
+            "recorded": _EPISODES.start_ns,
+            "uploaded": _EPISODES.created_at,
+            "duration": _EPISODES.end_ns - _EPISODES.start_ns,
+            "role": _EPISODES.role,
+        },
+        _EPISODES.role,
+    ),
+    Labelled.VERSION: Listed(
+        t.artifacts,
+        ArtifactRecord,
+        {"version": _VERSIONS.version, "kind": _VERSIONS.kind},
+        _VERSIONS.kind,
+    ),
+    Labelled.DECISION: Listed(
+        t.decisions,
+        DecisionRecord,
+        {"decided": _DECISIONS.created_at, "accepted": _DECISIONS.accepted},
+        _DECISIONS.accepted,
+    ),
+}
+NAME = "name"  # by which everything can be sorted
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """Which lines of a list are wanted: sorted by what, a minus before it for the other direction;
+    whose name or digest has a text, with a tag, of one value; and which page of them, from 1."""
+
+    sort: str
+    containing: str = ""
+    tag: str = ""
+    only: Any = None
+    page: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A record, and its label if it has one."""
+
+    record: Any
+    label: LabelRecord | None
+
+
+def lines(
+    tx: ReadTransaction, plant: str, kind: Labelled, wanted: Wanted
+) -> tuple[list[Line], int]:
+    """The lines of a page, and how many there are on all of them. Raises KeyError where nothing can
+    be sorted by that."""
+    listed = LISTED[kind]
+    matching = _matching(plant, kind, listed, wanted)
+    count = tx.connection.scalar(select(func.count()).select_from(matching.subquery())) or 0
+    name = func.coalesce(t.labels.c.name, listed.table.c.digest)
+    by = {**listed.sorts, NAME: name}[wanted.sort.removeprefix("-")]
+    ordered = matching.order_by(
+        by.desc() if wanted.sort.startswith("-") else by, listed.table.c.digest
+    )
+    rows = tx.connection.execute(ordered.limit(LINES).offset(LINES * (wanted.page - 1)))
+    records = [record_from_row(listed.record, listed.table, r) for r in rows.mappings()]
+    labels = tx.labels.of(plant, kind, [r.digest for r in records])
+    return [Line(r, labels.get(r.digest)) for r in records], int(count)
+
+
+def _matching(plant: str, kind: Labelled, listed: Listed, wanted: Wanted) -> Select[Any]:
+    of = listed.table.c
+    query = (
+        select(listed.table)
+        .outerjoin(
+            t.labels,
+            (t.labels.c.plant == of.plant)
+            & (t.labels.c.kind == kind)
+            & (t.labels.c.subject == of.digest),
+        )
+        .where(of.plant == plant)
+    )
+    if wanted.containing:
+        named = t.labels.c.name.icontains(wanted.containing, autoescape=True, escape=ESCAPE)
+        query = query.where(
+            named | of.digest.startswith(wanted.containing.lower(), autoescape=True)
+        )
+    if wanted.tag:
+        query = query.where(has_tag(wanted.tag))
+    return query if wanted.only is None else query.where(listed.selecting == wanted.only)
