@@ -227,6 +227,16 @@ def test_commands_of_a_page_run_in_their_order(world, name):
     assert len(ran) > 2
 
 
+def test_monitoring_is_tried_with_the_runs_of_a_car(world):
+    said = {
+        " ".join(words[1:3]): world.run(words)
+        for words in lines(ROOT / "docs" / "continual.md")[:9]
+    }
+    assert "accepted" in said["gate car"]
+    assert "one false alarm in 1 h" in said["calibrate car"]
+    assert "car: watched" in said["monitor car"]
+
+
 def test_what_operations_tells_goes_out_and_comes_back(world, tmp_path):
     world.words["KEY"] = world.run(["trueup", "audit", "key"]).strip()
     elsewhere = {name: embedded(tmp_path / name).environment for name in ("restore", "import")}

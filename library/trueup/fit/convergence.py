@@ -37,6 +37,7 @@ from trueup.model.rounding import rounded
 from trueup.model.series import Series
 
 Array = NDArray[np.float64]
+TINY = 1e-300  # what is divided by at least
 WIDEST_SWING = 0.25  # of a number's range: the longest difference
 NEAR = 1.0  # half-widths from the minimum: from there on each look is as wide as the last
 MOST_LOOKS = 30  # at a step
@@ -179,7 +180,7 @@ def _examined(
         return _Place(around, cost, np.zeros((n, n)), np.zeros(n), np.inf if n else 0.0, free)
     reduced_chi_square, at = max(cost / fit.samples, 1.0), free.at(values)
     ratio = np.where(np.isfinite(around.curvature), around.curvature, around.diagonal) / np.maximum(
-        around.diagonal, 1e-300
+        around.diagonal, TINY
     )
     stiff = np.sqrt(np.clip(ratio, SOFTEST, STIFFEST))
     weight, centre = fitter.expected(free)
@@ -191,11 +192,9 @@ def _examined(
         at <= free.low,
         at >= free.high,
     )
-    swing = (
-        SWING
-        * TWO_SIDED
-        * np.sqrt(reduced_chi_square / np.maximum(around.diagonal + worth, 1e-300))
-    )
+    with np.errstate(over="ignore"):  # what nothing determines swings without end
+        variance = reduced_chi_square / np.maximum(around.diagonal + worth, TINY)
+    swing = SWING * TWO_SIDED * np.sqrt(variance)
     reach = np.where(
         np.isfinite(free.high - free.low), WIDEST_SWING * (free.high - free.low), np.inf
     )
@@ -220,7 +219,7 @@ def _accelerated_step(path: Sequence[tuple[Array, Array]], best: _Place) -> Arra
         part = np.linalg.lstsq(size * turned, size[:, 0] * step, rcond=ALIKE)[0]
         step = step - (over + turned) @ part
     length = best.distance * np.sqrt(
-        float(step @ best.normal @ step) / max(float(best.step @ best.normal @ best.step), 1e-300)
+        float(step @ best.normal @ step) / max(float(best.step @ best.normal @ best.step), TINY)
     )
     return np.asarray(min(1.0, FURTHEST / length) * step)
 
@@ -314,6 +313,6 @@ def _residual_variance(fit: RolloutFit) -> float:
 
 def _same_minimum(one: RolloutFit, other: RolloutFit) -> bool:
     """Whether two minima are one."""
-    error = np.sqrt(_residual_variance(one) / np.maximum(np.diag(one.information), 1e-300))
+    error = np.sqrt(_residual_variance(one) / np.maximum(np.diag(one.information), TINY))
     apart = np.abs(one.free.at(one.values) - other.free.at(other.values))
     return bool((apart < SAME_MINIMUM * TWO_SIDED * error).all())
