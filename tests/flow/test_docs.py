@@ -162,3 +162,7 @@ def test_the_site_builds_with_every_link_and_loads_from_nowhere_else(tmp_path):
     assert effects.count("<img") == len(catalogue())
     assert "Predict an episode" in (tmp_path / "site" / "commands.html").read_text()
     assert "upload_episode" in (tmp_path / "site" / "python.html").read_text()
+    method = (tmp_path / "site" / "diagnosis.html").read_text()
+    equations = (ROOT / "docs" / "diagnosis.md").read_text().count("```math")
+    assert method.count('display="block"') == equations > 0
+    assert "\\sum" not in method

@@ -109,7 +109,7 @@ def test_every_snippet_is_of_a_kind_that_is_tested():
         for kind, _ in FENCE.findall(page.read_text())
         if page.name not in RUN_WHOLE
     }
-    assert {kind for _, kind in kinds} == {"", "python", "json", "yaml"}
+    assert {kind for _, kind in kinds} == {"", "python", "json", "yaml", "math"}
     assert {name for name, kind in kinds if kind == "yaml"} == {"operations.md"}
     assert {name for name, kind in kinds if kind == "json"} == {
         "continual.md",
