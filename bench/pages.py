@@ -44,7 +44,11 @@ def _many(data: Path) -> list[Figure]:
             "all plants, a page in the middle": "/?after=many-050000",
             "a search that finds few": "/?q=99123",
             "a search that finds none": "/?q=no-such-name",
+            "plants of a tag that few have": "/?tag=site-7",
+            "plants whose alarm is open": "/?alarm=open",
             "a plant of 10^5 versions": "/plants/p",
+            "its versions, the newest": "/plants/p/versions",
+            "its versions by name": "/plants/p/versions?sort=name",
             "the log": "/audit",
         }.items():
             seconds = []
@@ -74,6 +78,10 @@ def _add_plants(path: Path) -> None:
         row = to.execute("select digest, document from plants").fetchone()
         artifact = to.execute("select digest, kind, manifest from artifacts limit 1").fetchone()
         names = [f"many-{i:06d}" for i in range(PLANTS)]
+        to.executemany(
+            "insert into labels values (?, 'plant', ?, ?, ?, null, ?, ?)",
+            [(n, n, f"bench {i}", f'["site-{i % 1000}"]', AT, BY) for i, n in enumerate(names)],
+        )
         to.executemany(
             "insert into plants values (?, ?, ?, ?, ?, null)", [(n, *row, AT, BY) for n in names]
         )

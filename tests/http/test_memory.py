@@ -21,7 +21,7 @@ from trueup_service.authentication import Principal
 from trueup_service.errors import MemoryFull, TooLargeUpload
 from trueup_service.http.body_limit import FORM_BYTES, BodyLimit
 
-LARGE = 96 << 20
+LARGE = 124 << 20  # nearly what an artifact may have
 ROOM = 4 << 20
 
 
