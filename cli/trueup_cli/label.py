@@ -47,9 +47,18 @@ def label(
         as_json(listed) if as_json_ else _show(client, plant, listed)
         return
     before = client.label(plant, kind, subject)["tags"] if tag or untag else []
-    tags = [t for t in dict.fromkeys([*before, *tag]) if t not in untag] if tag or untag else None
+    tags = (
+        [t for t in dict.fromkeys([*before, *map(_kept, tag)]) if t not in map(_kept, untag)]
+        if tag or untag
+        else None
+    )
     made = client.change_label(plant, kind, subject, name=name, tags=tags, note=note)
     as_json(made) if as_json_ else _show(client, plant, [made])
+
+
+def _kept(tag: str) -> str:
+    """Returns a tag as the service keeps it."""
+    return " ".join(tag.lower().split())
 
 
 def _subject(
@@ -70,7 +79,7 @@ def _subject(
 
 def _show(client: Client, plant: str, labels: list[Label]) -> None:
     if not labels:
-        say("nothing has a label yet: trueup label {} --name NAME", plant)
+        say("nothing that was asked for has a label: trueup label {} --name NAME", plant)
         return
     numbers = {a["digest"]: f"version {a['version']}" for a in client.artifacts(plant)}
     table(

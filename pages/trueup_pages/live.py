@@ -20,6 +20,7 @@ WORDS = {
     "episode:ingested": "A recording came in",
     "evidence:added": "Evidence was added",
     "gate:declared": "A gate was declared",
+    "label:changed": "A name, tag or note was changed",
     "monitor:calibrated": "A monitor was calibrated",
     "plant:imported": "A plant was imported",
     "plant:registered": "A plant was registered",

@@ -20,6 +20,8 @@ from trueup_pages.time_axis import seconds, ticks
 WIDTH, LEFT, RIGHT, LANE, TOP, BOTTOM = 980, 110, 20, 34, 10, 28
 LANES = ("episodes", "alarms", "diagnoses", "decisions", "serving")
 APART = 14.0  # of the middles of two marks that can both be hit
+WIDEST = 60.0  # of a mark that stands for several
+FIRST_S, LAST_S = 0.0, 253_402_300_799.0  # 1970 to 9999: what an address can name
 SHORTEST_S = 1.0  # of a stretch that can be looked at closer
 LIST = "#entries"  # where the page lists what the timeline shows
 HERE = "#when"
@@ -88,14 +90,18 @@ def zooms(plant: str, window: tuple[str, str] | None, shown: Sequence[Any]) -> l
         if window is not None
         else (seconds(shown[-1].at), seconds(shown[0].at))
     )
-    span = max(last - first, SHORTEST_S)
+    middle, half = (first + last) / 2.0, max(last - first, SHORTEST_S) / 2.0
     steps = [
-        ("Earlier", first - span, first),
-        ("Later", last, last + span),
-        ("Closer", first + span / 4.0, last - span / 4.0),
-        ("Further", first - span / 2.0, last + span / 2.0),
+        ("Earlier", middle - 3.0 * half, middle - half),
+        ("Later", middle + half, middle + 3.0 * half),
+        ("Closer", middle - half / 2.0, middle + half / 2.0),
+        ("Further", middle - 2.0 * half, middle + 2.0 * half),
     ]
-    links = [{"label": label, "page": _page(plant, a, b)} for label, a, b in steps]
+    links = [
+        {"label": label, "page": _page(plant, a, b)}
+        for label, a, b in steps
+        if a < LAST_S and b > FIRST_S and b - a >= SHORTEST_S / 2.0
+    ]
     return [*links, {"label": "Newest", "page": f"/plants/{plant}{HERE}"}]
 
 
@@ -112,14 +118,16 @@ def _page(plant: str, first_s: float, last_s: float) -> str:
 
 def _text(at_s: float) -> str:
     """A time as the registry writes it."""
-    return datetime.fromtimestamp(max(at_s, 0.0), UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+    return datetime.fromtimestamp(min(max(at_s, FIRST_S), LAST_S), UTC).strftime(
+        "%Y-%m-%dT%H:%M:%S.%fZ"
+    )
 
 
 def _groups(placed: Sequence[Placed]) -> Iterator[list[Placed]]:
     """Yields the marks of one lane, those together that lie on each other."""
     group: list[Placed] = []
     for one in placed:
-        if group and one.x - group[-1].x > APART:
+        if group and (one.x - group[-1].x > APART or one.x - group[0].x > WIDEST):
             yield group
             group = []
         group.append(one)

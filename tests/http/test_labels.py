@@ -105,7 +105,7 @@ def test_labels_are_given_by_the_command_and_stand_in_its_lists(service, client,
     assert "data sheet" in run(
         "label", PLANT, "--version", "1", "--name", "data sheet", "--tag", "old"
     )
-    run("label", PLANT, "--version", "1", "--tag", "older", "--untag", "old")
+    run("label", PLANT, "--version", "1", "--tag", "Older", "--untag", "OLD")
     version = client.serving(PLANT).artifact
     assert client.label(PLANT, "version", version)["tags"] == ["older"]
     assert "data sheet" in run("versions", PLANT)

@@ -158,7 +158,10 @@ def test_the_timeline_goes_closer_and_back_to_the_newest(seat):
     expect(seat.page.locator("#entries")).to_have_attribute("open", "")
     seat.page.get_by_role("link", name="Newest").click()
     seat.page.wait_for_url(f"**{HOME}#when")
-    seat.go(f"{HOME}?since=nonsense&until=2")
+    for odd in ("nonsense&until=2", "0001-01-05&until=2026-01-01", "2026-01-01&until=9999-12-31"):
+        seat.go(f"{HOME}?since={odd}")
+        expect(seat.page.get_by_role("heading", level=1)).to_be_visible()
+    seat.go(HOME)
     expect(seat.page.locator("svg.timeline a").first).to_be_attached()
 
 

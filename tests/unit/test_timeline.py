@@ -59,6 +59,27 @@ def test_every_mark_can_be_reached_by_going_closer():
     assert pages == {f"/plants/p/episodes/{e.subject}" for e in entries}
 
 
+def test_events_that_come_evenly_are_reached_too():
+    entries = [entry(600 * i, subject=f"{i:064x}") for i in range(300)][::-1]
+    assert len(reached(entries, timeline("p", entries))) == 300
+
+
+@pytest.mark.parametrize("window", [("2026-01-01", "9999-12-31"), ("1970-01-01", "1970-01-02")])
+def test_stretches_end_where_addresses_do(window):
+    both = tuple(f"{day}T00:00:00.000000Z" for day in window)
+    assert all("since=" in z["page"] or z["label"] == "Newest" for z in zooms("p", both, []))
+
+
+def test_a_moment_is_looked_at_no_closer():
+    window = (entry(0).at, entry(0.4).at)
+    assert "Closer" in [z["label"] for z in zooms("p", window, [])]
+    assert all(
+        parse_qs(urlsplit(z["page"]).query)["since"] < parse_qs(urlsplit(z["page"]).query)["until"]
+        for z in zooms("p", window, [])
+        if z["label"] != "Newest"
+    )
+
+
 def test_marks_of_one_moment_lead_to_the_list():
     entries = [entry(0.1 * i, subject=f"{i:064x}") for i in range(5)]
     drawn = links(timeline("p", [entry(3600), *entries[::-1]]))

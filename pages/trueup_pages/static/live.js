@@ -108,7 +108,9 @@
     if (!element || element === page() || !page().contains(element)) return null;
     const same = (main) =>
       [...main.querySelectorAll(element.tagName)].filter(
-        (e) => e.textContent === element.textContent && e.href === element.href,
+        (e) =>
+          e.textContent === element.textContent &&
+          e.getAttribute("href") === element.getAttribute("href"),
       );
     return same(next)[same(page()).indexOf(element)] || null;
   }

@@ -138,7 +138,9 @@ async def _ingested(
         try:
             async with inspected_episode(request, copy, against, Described()) as (file, inspected):
                 episodes.append(
-                    await run_in_threadpool(ingest, parts, context, plant, None, file, inspected)
+                    await run_in_threadpool(
+                        ingest, parts, context, plant, None, file, inspected, str(of["file"])
+                    )
                 )
         finally:
             copy.path.unlink(missing_ok=True)

@@ -69,7 +69,7 @@ class LiveFeed:
 
     async def _read(self) -> None:
         size = await run_in_threadpool(self._size_of_log)
-        if size != self._size:
+        if size > self._size:  # of two looks at once the older one may come last
             self._size = size
             self._wake()
 

@@ -44,14 +44,14 @@ def compare(
     default of what serves and the newest other version, also the newest comparison."""
     with reading(parts.database) as tx:
         serving, latest = find.serving(tx, plant).version, tx.artifacts.latest_version(plant)
-        chosen = list(dict.fromkeys(v)) or [n for n in (first, second) if n is not None]
+        chosen = list(dict.fromkeys(v)) or _pair(first or serving, second, latest)
         if len(chosen) > MOST:
             raise BadRequest(
                 f"{len(chosen)} versions are too many to compare",
                 hint=f"Choose two to {MOST} of them.",
                 field="v",
             )
-        chosen = chosen if len(chosen) > 1 else _pair(chosen, serving, latest)
+        chosen = chosen if len(chosen) > 1 else _pair(chosen[0], None, latest)
         records = [find.version(tx, plant, n) for n in chosen]
         asked = [r.digest for r in records]
         job = tx.jobs.last_matching(
@@ -77,10 +77,9 @@ def compare(
     return show(request, "compare.html", 200, **values)
 
 
-def _pair(chosen: Sequence[int], serving: int, newest: int) -> list[int]:
-    """Two versions: the one that was chosen or serves, and the newest other one."""
-    first = chosen[0] if chosen else serving
-    return [first, newest if newest != first else max(newest - 1, 1)]
+def _pair(first: int, second: int | None, newest: int) -> list[int]:
+    """Two versions: one, and another that was asked for or is the newest other one."""
+    return [first, second or (newest if newest != first else max(newest - 1, 1))]
 
 
 @router.post("/plants/{plant}/compare")

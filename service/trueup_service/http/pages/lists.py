@@ -41,7 +41,7 @@ VERSIONS = List(
     "versions.html",
     "-version",
     "kind",
-    {k: k for k in ("nominal", "identified", "residual", "corrected", "conditioned")},
+    {k: k for k in ("nominal", "identified", "residual", "blind", "conditioned", "corrected")},
 )
 DECISIONS = List("decisions.html", "-decided", "verdict", {"accepted": True, "rejected": False})
 
@@ -121,10 +121,9 @@ def _shown(
             "plant": plant,
             "lines": listed,
             "count": count,
-            "first": LINES * (wanted.page - 1) + 1,
             "pages": -(-count // LINES),
             "asked": {**asked, "sort": sort},
-            "filtered": any(asked[k] for k in ("q", "tag", of.selected_by)),
+            "filtered": bool(wanted.containing or wanted.tag or only is not None),
             "link": link,
             "sorts": sorts,
             "choices": list(of.values),

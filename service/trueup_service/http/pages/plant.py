@@ -33,6 +33,7 @@ router = page_router()
 ENTRIES, MOST_ENTRIES, ROWS = 300, 2000, 10
 Moment = Annotated[str, Query(max_length=40, description="A time, ISO 8601")]
 NO_END = 2**62
+EARLIEST = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 @router.get("/plants/{plant}")
@@ -90,13 +91,15 @@ def plant_page(
 
 
 def _window(since: str, until: str) -> tuple[str, str] | None:
-    """The stretch of time that an address asks for; None where it asks for none, or makes no
-    sense."""
+    """The stretch of time that an address asks for, in UTC where it names no zone; None where it
+    asks for none, or makes no sense."""
     try:
-        both = [datetime.fromisoformat(at).astimezone(UTC) for at in (since, until)]
+        both = [datetime.fromisoformat(at) for at in (since, until)]
+        both = [(at if at.tzinfo else at.replace(tzinfo=UTC)).astimezone(UTC) for at in both]
     except (ValueError, OverflowError):
         return None
-    return (time_text(both[0]), time_text(both[1])) if both[0] < both[1] else None
+    first, last = (max(at, EARLIEST) for at in both)
+    return (time_text(first), time_text(last)) if first < last else None
 
 
 @router.post("/plants/{plant}/diagnoses")

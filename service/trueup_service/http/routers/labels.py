@@ -38,7 +38,7 @@ def list_labels(
     behind_kind, _, behind = after.partition("/")
     with reading(parts.database) as tx:
         find.plant_digest(tx, plant)
-        wanted = None if tag is None else tag.lower()
+        wanted = None if tag is None else " ".join(tag.lower().split())
         labels = tx.labels.page(plant, kind, wanted, (behind_kind, behind), limit)
     more = f"{labels[-1].kind}/{labels[-1].subject}" if len(labels) == limit else None
     return Page[Label](items=[Label.model_validate(one) for one in labels], next=more)
