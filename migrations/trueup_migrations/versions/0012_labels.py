@@ -24,3 +24,6 @@ def upgrade() -> None:
         sa.PrimaryKeyConstraint("plant", "kind", "subject", name=op.f("pk_labels")),
     )
     op.create_index(op.f("ix_labels_kind_plant"), "labels", ["kind", "plant"])
+    for column in ("created_at", "start_ns"):  # by which a list of episodes is sorted
+        name = op.f(f"ix_episodes_plant_{column}")
+        op.create_index(name, "episodes", ["plant", column])

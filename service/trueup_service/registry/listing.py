@@ -86,7 +86,7 @@ def lines(
     be sorted by that."""
     listed = LISTED[kind]
     matching = _matching(plant, kind, listed, wanted)
-    count = tx.connection.scalar(select(func.count()).select_from(matching.subquery())) or 0
+    count = tx.connection.scalar(matching.with_only_columns(func.count())) or 0
     name = func.coalesce(t.labels.c.name, listed.table.c.digest)
     by = {**listed.sorts, NAME: name}[wanted.sort.removeprefix("-")]
     ordered = matching.order_by(

@@ -84,6 +84,8 @@ episodes = Table(
     *created(),
     Column("samples_digest", DIGEST),
     Index(None, "plant", "role", "created_at"),
+    Index(None, "plant", "created_at"),
+    Index(None, "plant", "start_ns"),
     Index(None, "samples_digest"),
 )
 
