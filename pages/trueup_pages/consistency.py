@@ -226,7 +226,7 @@ def _verdict(by: Mapping[str, Any], number: Mapping[str, Any]) -> str:
     if by.get("widens"):
         return f"may differ ({chance}); the interval of the answer is wider for it"
     if by["apart"]:
-        return f"differ by no more than so many may by chance ({chance})"
+        return f"differ, but no more than chance allows ({chance})"
     return "agree within their intervals"
 
 

@@ -37,12 +37,12 @@ from trueup.model.predictor import Predictor
 from trueup.model.series import Series
 
 SCHEMA = "trueup.consistency/1"
-RECORDING, DAY, HALF = "recording", "day", "half"
+RECORDING, DAY, HALF = NAME, "day", "half"
 FEWEST = 2  # recordings
 COMPARED = Role.ADAPTATION, Role.VALIDATION
 # conditions that are no grouping of their own: whose log it is, what the recording is called, and
 # what is a grouping already
-NOT_A_GROUP = ("stage", NAME, RECORDING, DAY, HALF)
+NOT_A_GROUP = ("stage", RECORDING, DAY, HALF)
 NO_NAMES: Mapping[str, str] = MappingProxyType({})
 Progress = Callable[[str, float], None]
 

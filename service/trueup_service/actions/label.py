@@ -15,7 +15,6 @@ from trueup_service.registry.transaction import ReadTransaction, Transaction
 
 MOST_TAGS, MOST_OF_TAG, MOST_OF_NAME, MOST_OF_NOTE = 20, 40, 200, 10_000
 REQUIRE: Mapping[Labelled, Callable[[ReadTransaction, str, str], object]] = {
-    Labelled.PLANT: lambda tx, plant, subject: find.plant_digest(tx, subject),
     Labelled.EPISODE: find.episode,
     Labelled.VERSION: find.artifact,
     Labelled.DECISION: find.decision,
@@ -38,9 +37,10 @@ def label(
     """Change the label of something, with its entry in the log, unless nothing differs. Raises
     NotFound, BadRequest."""
     find.plant_digest(tx, plant)
-    if kind is Labelled.PLANT and subject != plant:
+    if kind is not Labelled.PLANT:
+        REQUIRE[kind](tx, plant, subject)
+    elif subject != plant:
         raise find.not_found("plant", subject)
-    REQUIRE[kind](tx, plant, subject)
     tx.plants.lock(plant)
     before = label_of(tx, plant, kind, subject)
     after = replace(
@@ -77,13 +77,18 @@ def first_name(file: str | None, conditions: Json) -> str | None:
     return _text(without_control_characters(name)[:MOST_OF_NAME])
 
 
+def tag_as_kept(tag: str) -> str:
+    """A tag as it is stored, and found: in lower case, with single spaces."""
+    return " ".join(tag.lower().split())
+
+
 def _text(text: str) -> str | None:
     return text.strip() or None
 
 
 def _tags(tags: list[str]) -> list[str]:
     """Tags in lower case, each once, in their order. Raises BadRequest."""
-    kept = list(dict.fromkeys(" ".join(tag.lower().split()) for tag in tags))
+    kept = list(dict.fromkeys(map(tag_as_kept, tags)))
     wrong = [t for t in kept if not t or len(t) > MOST_OF_TAG or set(t) & set(',"\\')]
     if wrong or len(kept) > MOST_TAGS:
         raise BadRequest(

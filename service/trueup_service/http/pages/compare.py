@@ -28,6 +28,7 @@ COMPARISON = "comparison.json"
 Version = Annotated[int, Query(ge=1, le=2**31 - 1)]
 LISTED = 200  # versions to choose from, the newest
 MOST = 6  # versions beside each other
+COMPARED = 2  # versions, on recordings
 Versions = Annotated[Sequence[Version], Query(max_length=100)]
 
 
@@ -54,7 +55,7 @@ def compare(
         chosen = chosen if len(chosen) > 1 else _pair(chosen[0], None, latest)
         records = [find.version(tx, plant, n) for n in chosen]
         asked = [r.digest for r in records]
-        job = tx.jobs.last_matching(
+        compared = len(records) == COMPARED and tx.jobs.last_matching(
             plant,
             "compare",
             lambda r: [r["first"], r["second"]] == asked and len(r["episodes"]) > 1,
@@ -71,9 +72,13 @@ def compare(
         "judged": judged(plant, decisions, {r.digest: r.version for r in records}, gates),
         "numbers": {r.digest: r.version for r in records},
     }
-    if len(records) > 2:  # noqa: PLR2004 - a comparison on recordings is of two
+    if len(records) > COMPARED:
         return show(request, "compare_many.html", 200, **values)
-    values |= {"first": records[0], "second": records[1], **comparison(parts, job, records)}
+    values |= {
+        "first": records[0],
+        "second": records[1],
+        **comparison(parts, compared or None, records),
+    }
     return show(request, "compare.html", 200, **values)
 
 

@@ -12,6 +12,7 @@ from fastapi import Query, Request, Response
 
 from trueup.episode.role import Role
 from trueup_service.actions import find
+from trueup_service.actions.label import tag_as_kept
 from trueup_service.http.dependencies import PlantName, RequestParts
 from trueup_service.http.pages.page import page_router, show
 from trueup_service.registry.label_record import Labelled
@@ -105,7 +106,7 @@ def _shown(
     sorts = [*LISTED[kind].sorts, NAME]
     sort = asked["sort"] if str(asked["sort"]).removeprefix("-") in sorts else of.sort
     only = of.values.get(str(asked[of.selected_by]))
-    tag = " ".join(str(asked["tag"]).lower().split())
+    tag = tag_as_kept(str(asked["tag"]))
     wanted = Wanted(sort, str(asked["q"]).strip(), tag, only, int(asked["page"]))
     defaults = {"sort": of.sort, "q": "", "tag": "", of.selected_by: "", "page": 1}
 
@@ -122,7 +123,7 @@ def _shown(
             "lines": listed,
             "count": count,
             "pages": -(-count // LINES),
-            "asked": {**asked, "sort": sort},
+            "asked": {**asked, "sort": sort, "tag": tag},
             "filtered": bool(wanted.containing or wanted.tag or only is not None),
             "link": link,
             "sorts": sorts,

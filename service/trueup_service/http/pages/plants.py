@@ -6,7 +6,7 @@ from typing import Annotated
 
 from fastapi import Query, Request, Response
 
-from trueup_service.actions.label import MOST_OF_TAG
+from trueup_service.actions.label import MOST_OF_TAG, tag_as_kept
 from trueup_service.http.dependencies import RequestParts
 from trueup_service.http.guard import CurrentPrincipal
 from trueup_service.http.pages.page import page_router, show
@@ -38,7 +38,7 @@ def plants(
             of=principal.plant,
             project=principal.project,
             containing=q.strip(),
-            tag=" ".join(tag.lower().split()),
+            tag=tag_as_kept(tag),
             alarmed=alarm == OPEN,
         )
     more = lines[LINES - 1].name if len(lines) > LINES else None

@@ -25,9 +25,7 @@ def version(request: Request, parts: RequestParts, plant: PlantName, version: Nu
     """A version, with the decisions that name it and the evidence at each stage."""
     with reading(parts.database) as tx:
         record = find.version(tx, plant, version)
-        made = [
-            d for name in tx.decisions.naming(plant, record.digest) if (d := tx.decisions.get(name))
-        ]
+        made = tx.decisions.between(plant, [record.digest])
         digests = {digest for d in made for digest in (d.candidate, d.incumbent)}
         last = tx.evidence.last_by_stage(plant, record.digest)
         job = None if record.job is None else tx.jobs.get(record.job)
@@ -38,7 +36,7 @@ def version(request: Request, parts: RequestParts, plant: PlantName, version: Nu
             "serving": find.serving(tx, plant),
             "summary": summary(json.loads(record.manifest)),
             "job": job,
-            "decisions": sorted(made, key=lambda d: d.created_at, reverse=True),
+            "decisions": made[::-1],
             "numbers": tx.artifacts.numbers(plant, sorted(digests)),
             "evidence": [tx.evidence.get(plant, digest) for digest, _ in last.values()],
             "gate": next(reversed(tx.gates.in_order(plant)), None),

@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import Path, Query
 
 from trueup_service.actions import find
-from trueup_service.actions.label import Change, label, label_of
+from trueup_service.actions.label import Change, label, label_of, tag_as_kept
 from trueup_service.http.dependencies import Limit, PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import guarded
 from trueup_service.http.schemas.labels import Label, LabelChange
@@ -38,7 +38,7 @@ def list_labels(
     behind_kind, _, behind = after.partition("/")
     with reading(parts.database) as tx:
         find.plant_digest(tx, plant)
-        wanted = None if tag is None else " ".join(tag.lower().split())
+        wanted = None if tag is None else tag_as_kept(tag)
         labels = tx.labels.page(plant, kind, wanted, (behind_kind, behind), limit)
     more = f"{labels[-1].kind}/{labels[-1].subject}" if len(labels) == limit else None
     return Page[Label](items=[Label.model_validate(one) for one in labels], next=more)
