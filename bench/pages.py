@@ -1,5 +1,5 @@
-"""What pages cost: the server's time for each at 10^5 plants and 10^5 versions of one, and a
-diagnosis in a real browser."""
+"""What pages cost: the server's time for each at 10^5 plants, and 10^5 versions and
+episodes of one, and a diagnosis in a real browser."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from bench.servers import ROOT, TOKEN, call, ours
 from tests.support.browser import browsing
 from tests.support.made import plant_document
 
-PLANTS = VERSIONS = 10**5
+PLANTS = VERSIONS = EPISODES = 10**5
 LOOKS, OPENED = 40, 10
 SLOWEST_MS, INTERACTIVE_S, LIGHTEST = 100.0, 1.0, 500_000
 AT, BY = "2026-01-01T00:00:00.000000Z", "bench"
@@ -37,6 +37,7 @@ def _many(data: Path) -> list[Figure]:
         call(port, "POST", "/v1/plants", plant_document("p"))
     fill(data / "trueup.sqlite", VERSIONS)
     _add_plants(data / "trueup.sqlite")
+    _add_episodes(data / "trueup.sqlite")
     figures = []
     with ours(data) as (port, _, _):
         for what, path in {
@@ -46,9 +47,13 @@ def _many(data: Path) -> list[Figure]:
             "a search that finds none": "/?q=no-such-name",
             "plants of a tag that few have": "/?tag=site-7",
             "plants whose alarm is open": "/?alarm=open",
-            "a plant of 10^5 versions": "/plants/p",
+            "a plant of 10^5 versions and episodes": "/plants/p",
+            "a minute of its timeline": f"/plants/p?since={AT}&until=2026-01-01T00:01:00Z",
             "its versions, the newest": "/plants/p/versions",
             "its versions by name": "/plants/p/versions?sort=name",
+            "its episodes, the newest": "/plants/p/episodes",
+            "its episodes by duration": "/plants/p/episodes?sort=-duration",
+            "its episodes whose name contains a text": "/plants/p/episodes?q=run-0512",
             "the log": "/audit",
         }.items():
             seconds = []
@@ -131,6 +136,34 @@ def _add_plants(path: Path) -> None:
                 ),
                 alarm,
             )
+        to.execute("analyze")
+
+
+def _add_episodes(path: Path) -> None:
+    """Episodes of one plant, each named and with a summary as long as a real one's."""
+    ranges = {f"channel_{i}": {"low": -1.234, "high": 5.678, "unit": "rad"} for i in range(8)}
+    summary = json.dumps({"samples": 5000, "duration_s": 10.0, "conditions": {}, "ranges": ranges})
+    columns = "plant, digest, size_bytes, role, start_ns, end_ns, summary, created_at, created_by"
+    with sqlite3.connect(path) as to:
+        to.executemany(
+            f"insert into episodes ({columns}) values ('p', ?, 100000, ?, ?, ?, ?, ?, ?)",
+            [
+                (
+                    f"{i:064x}",
+                    "adaptation" if i % 3 else "validation",
+                    i * 10**10,
+                    i * 10**10 + 10**9 * (i % 977),
+                    summary,
+                    f"2026-01-01T{i // 3600 % 24:02d}:{i // 60 % 60:02d}:{i % 60:02d}.{i:06d}Z",
+                    BY,
+                )
+                for i in range(EPISODES)
+            ],
+        )
+        to.executemany(
+            "insert into labels values ('p', 'episode', ?, ?, '[]', null, ?, ?)",
+            [(f"{i:064x}", f"run-{i:06d}.mcap", AT, BY) for i in range(EPISODES)],
+        )
         to.execute("analyze")
 
 

@@ -19,6 +19,13 @@ class Conflict(TrueupError):
     hint = "What is registered never changes: choose another name."
 
 
+class LabelChanged(TrueupError):
+    """Somebody changed the label since it was read."""
+
+    code = "label-changed"
+    hint = "Read the label again, and send what should stand in it now."
+
+
 class KeyReused(TrueupError):
     """The idempotency key was used for another request."""
 

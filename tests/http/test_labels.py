@@ -69,6 +69,16 @@ def test_every_kind_has_labels_and_they_are_listed_by_tag(client, episode):
     assert list(client.labels(PLANT, tag="col")) == []
 
 
+def test_a_label_that_changed_since_it_was_read_is_refused(client):
+    read = client.change_label(PLANT, "plant", PLANT, name="Bench")
+    with pytest.raises(Problem) as refused:
+        client.change_label(PLANT, "plant", PLANT, note="late", updated_at="")
+    assert (refused.value.status, refused.value.code) == (409, "label-changed")
+    assert refused.value.facts["updated_at"] == read["updated_at"]
+    made = client.change_label(PLANT, "plant", PLANT, note="in time", updated_at=read["updated_at"])
+    assert (made["name"], made["note"]) == ("Bench", "in time")
+
+
 @pytest.mark.parametrize(
     ("kind", "subject"),
     [("episode", "0" * 64), ("version", "0" * 64), ("decision", "0" * 64), ("plant", "another")],

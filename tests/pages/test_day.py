@@ -70,11 +70,6 @@ def tables(tmp_path_factory):
     return sorted(folder.iterdir())
 
 
-def refusals_are_expected(seat, status):
-    """A browser notes every refusal as an error of its own."""
-    seat.faults[:] = [fault for fault in seat.faults if str(status) not in fault]
-
-
 # -- the main job
 
 
@@ -125,7 +120,7 @@ def test_a_log_that_is_none_is_refused_with_what_to_do(seat):
     line = seat.page.locator(".sending.bad")
     expect(line).to_contain_text("rule columns")
     expect(line).to_contain_text("A table needs a column of time")
-    refusals_are_expected(seat, 422)
+    seat.expect_refusal(422)
 
 
 def _drop(page, name, content):
@@ -159,7 +154,7 @@ def test_several_recordings_are_uploaded_at_once_each_with_what_came_of_it(
     lines.nth(1).get_by_role("button", name="Send it with the role above").click()
     expect(lines.nth(1)).to_contain_text("no column looks like the time")
     expect(lines.nth(1)).to_contain_text("field time")
-    refusals_are_expected(seat, 422)
+    seat.expect_refusal(422)
     assert [e["role"] for e in client.episodes(plant)] == ["adaptation"]
 
 
@@ -218,7 +213,7 @@ def test_a_gate_is_declared_and_replaced_with_a_reason(seat, plant, client):
     seat.page.get_by_role("button", name="Declare", exact=True).click()
     expect(seat.page.get_by_role("region", name="rules in force")).to_contain_text("0.9")
     assert client.gate_in_force(plant)["document"]["because"] == "the axis got slower"
-    refusals_are_expected(seat, 422)
+    seat.expect_refusal(422)
 
 
 def test_a_policy_is_declared(seat, plant, client):
@@ -233,7 +228,7 @@ def test_a_policy_is_declared(seat, plant, client):
     seat.page.get_by_role("button", name="Declare").click()
     expect(seat.page.locator("main")).to_contain_text("It is number 1")
     assert client.policy(plant)["document"]["approvals"] == 2
-    refusals_are_expected(seat, 422)
+    seat.expect_refusal(422)
 
 
 def test_a_version_is_released_to_a_channel_that_was_declared(seat, plant, client):
@@ -248,7 +243,7 @@ def test_a_version_is_released_to_a_channel_that_was_declared(seat, plant, clien
     seat.page.get_by_role("button", name="Declare").click()
     seat.page.get_by_role("button", name="Release to machines").click()
     expect(seat.page.get_by_role("alert")).to_contain_text("evidence")
-    refusals_are_expected(seat, 409)
+    seat.expect_refusal(409)
 
 
 def test_a_monitor_without_reference_says_what_it_needs(seat, plant):
@@ -276,7 +271,7 @@ def test_a_promotion_by_two_is_approved_by_one_and_made_by_the_other(
     seat.page.wait_for_url(re.compile("/decisions/"))
     seat.page.get_by_role("button", name="Promote version 2").click()
     expect(seat.page.get_by_role("alert")).to_contain_text("approv")
-    refusals_are_expected(seat, 409)
+    seat.expect_refusal(409)
     digest = re.search("[0-9a-f]{64}", seat.page.url).group()
     other = Seat(browser, running)
     other.go("/sign-in")

@@ -169,3 +169,50 @@ def test_more_than_six_versions_are_refused_with_what_to_do(seat):
     seat.go(f"{HOME}/compare?" + "&".join(f"v={n}" for n in range(1, 8)))
     expect(seat.page.get_by_text("Choose two to 6 of them.")).to_be_visible()
     seat.faults[:] = [fault for fault in seat.faults if "400" not in fault]
+
+
+def test_what_somebody_else_saved_meanwhile_is_not_overwritten_and_nothing_written_is_lost(
+    seat, judged
+):
+    version = next(v for v in judged.artifacts(PLANT) if v["version"] == 3)["digest"]
+    seat.go(f"{HOME}/versions/3")
+    judged.change_label(PLANT, "version", version, name="theirs", note="Checked on the rig.")
+    labelled(seat, "mine", "checked", "Looks odd at low speed.")
+    alert = seat.page.get_by_role("alert")
+    expect(alert).to_contain_text("Nothing was changed")
+    seat.expect_refusal(409)
+    expect(seat.page.get_by_text("Checked on the rig.")).to_be_visible()
+    assert judged.label(PLANT, "version", version)["name"] == "theirs"
+    expect(seat.page.get_by_label("Note")).to_have_value("Looks odd at low speed.")
+    seat.page.get_by_role("button", name="Save").click()
+    seat.page.wait_for_url(f"**{HOME}/versions/3")
+    label = judged.label(PLANT, "version", version)
+    assert (label["name"], label["note"]) == ("mine", "Looks odd at low speed.")
+
+
+def test_a_tag_that_cannot_be_used_is_refused_on_a_page_that_keeps_the_note(seat):
+    seat.go(HOME)
+    labelled(seat, "bench", "x" * 41, "A long note.")
+    expect(seat.page.get_by_role("alert")).to_contain_text("at most 20 tags")
+    seat.expect_refusal(400)
+    expect(seat.page.get_by_label("Note")).to_have_value("A long note.")
+
+
+def test_a_page_behind_the_end_of_a_list_leads_to_its_last(seat):
+    seat.go(f"{HOME}/versions?sort=version&page=99")
+    seat.page.wait_for_url(f"**{HOME}/versions?sort=version")
+    assert len(names(seat)) == 3
+
+
+def test_plants_are_filtered_as_one_chooses_and_the_address_follows(seat, judged):
+    judged.change_label(PLANT, "plant", PLANT, tags=["hall 3"])
+    seat.go("/")
+    seat.page.get_by_label("Tag").press_sequentially("hall 3")
+    seat.page.wait_for_url("**tag=hall+3**")
+    expect(seat.page.locator("#plants tbody tr")).to_have_count(1)
+    seat.page.get_by_label("Alarm").select_option("open")
+    seat.page.wait_for_url("**alarm=open**")
+    expect(seat.page.get_by_text("has an open alarm")).to_be_visible()
+    seat.page.reload()
+    expect(seat.page.get_by_label("Tag")).to_have_value("hall 3")
+    expect(seat.page.get_by_label("Alarm")).to_have_value("open")

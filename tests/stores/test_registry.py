@@ -1,9 +1,11 @@
 """One suite over both storages: what the registry promises."""
 
 import hashlib
+import random
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
+from datetime import UTC, datetime, timedelta
 
 import pytest
 from sqlalchemy import event, func, select, text
@@ -19,7 +21,7 @@ from trueup_service.actions.idempotency import IdempotencyKey, run_once_in
 from trueup_service.actions.move_pointer import promote_decision, roll_back_pointer
 from trueup_service.actions.record_decision import record_decision
 from trueup_service.actions.register_plant import register_plant
-from trueup_service.actor_context import ActorContext
+from trueup_service.actor_context import ActorContext, time_text
 from trueup_service.errors import Conflict, KeyReused, NotWhole
 from trueup_service.registry.blobs import BlobMissing
 from trueup_service.registry.records import ArtifactRecord, JobRecord, JobState
@@ -54,6 +56,27 @@ def add_version(tx: Transaction, plant: str, version: int) -> str:
         )
     )
     return digest
+
+
+def test_a_stretch_of_time_is_found_though_clocks_differ_and_plants_are_mixed(parts, plant):
+    """Halving the log finds what looking at every entry finds."""
+    begin = datetime(2026, 1, 1, tzinfo=UTC)
+    skew = random.Random(3)
+    with parts.database.write() as connection:
+        tx = Transaction(connection)
+        for minute in range(300):
+            at = begin + timedelta(minutes=minute + skew.uniform(-20.0, 20.0))
+            context = ActorContext("tester", time_text(at))
+            of = plant if minute % 3 else None
+            tx.log.append(context, "note:made", plant=of, subject=str(minute), facts={})
+    with read(parts) as connection:
+        log = ReadTransaction(connection).log
+        every = log.entries(0, 1000, plant=plant)
+        for first, last in [(-60, 500), (40, 50), (100, 100.5), (290, 400), (-90, -60), (250, 260)]:
+            since, until = (time_text(begin + timedelta(minutes=m)) for m in (first, last))
+            wanted = [e for e in reversed(every) if since <= e.at <= until]
+            assert log.entries_between(plant, since, until, 1000) == wanted
+            assert log.entries_between(plant, since, until, 3) == wanted[:3]
 
 
 def decide(tx: Transaction, plant: str, candidate: str) -> str:

@@ -38,11 +38,21 @@ class AsyncLabelCalls(Pooled):
         name: str | None = None,
         tags: Sequence[str] | None = None,
         note: str | None = None,
+        updated_at: str | None = None,
     ) -> Label:
         """Changes a label. What is None stays; empty text, or no tags, takes away what was there.
 
-        Names and tags change nothing that is judged, and the log keeps what they were.
+        Names and tags change nothing that is judged, and the log keeps what they were. With
+        `updated_at`, as the label was read, a change is refused (`label-changed`) if somebody
+        changed it since.
         """
         return await self._pool.run(
-            LabelCalls.change_label, plant, kind, subject, name=name, tags=tags, note=note
+            LabelCalls.change_label,
+            plant,
+            kind,
+            subject,
+            name=name,
+            tags=tags,
+            note=note,
+            updated_at=updated_at,
         )

@@ -34,12 +34,20 @@ class LabelCalls(Transport):
         name: str | None = None,
         tags: Sequence[str] | None = None,
         note: str | None = None,
+        updated_at: str | None = None,
     ) -> Label:
         """Changes a label. What is None stays; empty text, or no tags, takes away what was there.
 
-        Names and tags change nothing that is judged, and the log keeps what they were.
+        Names and tags change nothing that is judged, and the log keeps what they were. With
+        `updated_at`, as the label was read, a change is refused (`label-changed`) if somebody
+        changed it since.
         """
-        asked = {"name": name, "tags": None if tags is None else list(tags), "note": note}
+        asked = {
+            "name": name,
+            "tags": None if tags is None else list(tags),
+            "note": note,
+            "updated_at": updated_at,
+        }
         return self._connection.json(
             "PATCH",
             url_path("plants", plant, "labels", kind, subject),

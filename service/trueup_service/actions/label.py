@@ -9,7 +9,7 @@ from trueup.canonical import Json
 from trueup_service.actions import find
 from trueup_service.actor_context import ActorContext
 from trueup_service.control_characters import without_control_characters
-from trueup_service.errors import BadRequest
+from trueup_service.errors import BadRequest, LabelChanged
 from trueup_service.registry.label_record import Labelled, LabelRecord
 from trueup_service.registry.transaction import ReadTransaction, Transaction
 
@@ -24,18 +24,20 @@ REQUIRE: Mapping[Labelled, Callable[[ReadTransaction, str, str], object]] = {
 @dataclass(frozen=True, slots=True)
 class Change:
     """What changes of a label; a field that is None stays as it is, and an empty text or list takes
-    away what was there."""
+    away what was there. `updated_at` is what the label had when it was read, None where nobody
+    compares."""
 
     name: str | None = None
     tags: list[str] | None = None
     note: str | None = None
+    updated_at: str | None = None
 
 
 def label(
     tx: Transaction, plant: str, kind: Labelled, subject: str, change: Change, context: ActorContext
 ) -> LabelRecord:
     """Change the label of something, with its entry in the log, unless nothing differs. Raises
-    NotFound, BadRequest."""
+    NotFound, BadRequest, LabelChanged."""
     find.plant_digest(tx, plant)
     if kind is not Labelled.PLANT:
         REQUIRE[kind](tx, plant, subject)
@@ -43,6 +45,12 @@ def label(
         raise find.not_found("plant", subject)
     tx.plants.lock(plant)
     before = label_of(tx, plant, kind, subject)
+    if change.updated_at is not None and change.updated_at != before.updated_at:
+        raise LabelChanged(
+            f"{before.updated_by} changed it at {before.updated_at}",
+            updated_at=before.updated_at,
+            updated_by=before.updated_by,
+        )
     after = replace(
         before,
         name=before.name if change.name is None else _text(change.name),

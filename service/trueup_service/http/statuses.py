@@ -46,6 +46,7 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     StoreAway: HTTPStatus.SERVICE_UNAVAILABLE,
     service.NotFound: HTTPStatus.NOT_FOUND,
     service.Conflict: HTTPStatus.CONFLICT,
+    service.LabelChanged: HTTPStatus.CONFLICT,
     service.KeyReused: HTTPStatus.CONFLICT,
     service.DigestMismatch: HTTPStatus.UNPROCESSABLE_ENTITY,
     service.TooLargeUpload: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,

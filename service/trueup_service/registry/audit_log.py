@@ -4,6 +4,7 @@ all entries."""
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
+from datetime import datetime, timedelta
 from typing import Any
 
 from sqlalchemy import Select, bindparam, func, select, update
@@ -12,13 +13,14 @@ from trueup.canonical import Json, digest_of_bytes
 from trueup.errors import BrokenChain
 from trueup.ledger.audit import AuditEntry, entry_bytes_of
 from trueup.ledger.merkle import Frontier, Node, leaf_hash, node_of, number_of
-from trueup_service.actor_context import ActorContext
+from trueup_service.actor_context import ActorContext, time_text
 from trueup_service.registry import tables as t
 from trueup_service.registry.records import AuditKey
 from trueup_service.registry.repository import TableGateway, values_of
 from trueup_service.registry.row_format import row_from_values
 
 ESCAPE = "\\"
+CLOCKS = timedelta(hours=1)  # by which the clocks of servers may differ
 
 # Statements of the busiest paths, built once: building one costs about as much as running it.
 _HEAD = select(t.audit_head.c.size, t.audit_head.c.frontier).where(t.audit_head.c.id == 1)
@@ -30,6 +32,15 @@ _MOVE_HEAD = update(t.audit_head).values(
 _FIRST = (
     select(t.audit)
     .where(t.audit.c.subject == bindparam("of_subject"), t.audit.c.kind == bindparam("of_kind"))
+    .order_by(t.audit.c.sequence)
+    .limit(1)
+)
+_NEXT = (
+    select(t.audit.c.sequence, t.audit.c.at)
+    .where(
+        t.audit.c.plant == bindparam("of_plant"),
+        t.audit.c.sequence >= bindparam("from_sequence"),
+    )
     .order_by(t.audit.c.sequence)
     .limit(1)
 )
@@ -152,11 +163,38 @@ class AuditLog:
         return self._all(query.order_by(t.audit.c.sequence.desc()).limit(limit))
 
     def entries_between(self, plant: str, since: str, until: str, limit: int) -> list[AuditEntry]:
-        """The newest entries of a plant from one time to another, the newest first."""
+        """The newest entries of a plant from one time to another, the newest first.
+
+        Times have no index. They follow the order of the entries, up to how far the clocks of
+        servers differ (at most `CLOCKS`), so that both ends are found by halving the log.
+        """
+        after, before = (
+            self._first_from(plant, since, -CLOCKS),
+            self._first_from(plant, until, CLOCKS),
+        )
         query = select(t.audit).where(
-            t.audit.c.plant == plant, t.audit.c.at >= since, t.audit.c.at <= until
+            t.audit.c.plant == plant,
+            t.audit.c.sequence.between(after, before),
+            t.audit.c.at >= since,
+            t.audit.c.at <= until,
         )
         return self._all(query.order_by(t.audit.c.sequence.desc()).limit(limit))
+
+    def _first_from(self, plant: str, at: str, shift: timedelta) -> int:
+        """The sequence from which on all entries of a plant are from a time, plus a shift, or
+        later, if their times follow their order."""
+        shifted = time_text(datetime.fromisoformat(at) + shift)
+        first, last = 1, self.size() + 1
+        while first < last:
+            middle = (first + last) // 2
+            next_one = self._connection.execute(
+                _NEXT, {"of_plant": plant, "from_sequence": middle}
+            ).first()
+            if next_one is not None and next_one.at < shifted:
+                first = next_one.sequence + 1
+            else:
+                last = middle
+        return first
 
     def first_entry(self, subject: str, kind: str) -> AuditEntry | None:
         """The first entry of a kind on a subject."""

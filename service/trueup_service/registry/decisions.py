@@ -99,18 +99,26 @@ class Decisions(Repository[DecisionRecord]):
     def newest_on(self, plant: str, candidates: Sequence[str]) -> dict[str, DecisionRecord]:
         """The newest decision on each of some candidates, by candidate; without those that were
         never judged."""
-        query = select(t.decisions).where(
-            t.decisions.c.plant == plant, t.decisions.c.candidate.in_(candidates)
+        of = t.decisions.c
+        newest_first = (of.created_at.desc(), of.digest)
+        place = func.row_number().over(partition_by=of.candidate, order_by=newest_first)
+        placed = (
+            select(of.digest, place.label("place"))
+            .where(of.plant == plant, of.candidate.in_(candidates))
+            .subquery()
         )
-        return {d.candidate: d for d in self._all(query.order_by(t.decisions.c.created_at))}
+        newest = select(placed.c.digest).where(placed.c.place == 1)
+        query = select(t.decisions).where(of.plant == plant, of.digest.in_(newest))
+        return {d.candidate: d for d in self._all(query)}
 
-    def between(self, plant: str, artifacts: Sequence[str]) -> list[DecisionRecord]:
-        """The decisions of a plant that name one of some artifacts as candidate or incumbent, in
-        the order in which they were made."""
+    def between(self, plant: str, artifacts: Sequence[str], limit: int) -> list[DecisionRecord]:
+        """The newest decisions of a plant that name one of some artifacts as candidate or
+        incumbent, in the order in which they were made."""
         of = t.decisions.c
         named = of.candidate.in_(artifacts) | of.incumbent.in_(artifacts)
         query = select(t.decisions).where(of.plant == plant, named)
-        return self._all(query.order_by(of.created_at, of.digest))
+        newest = self._all(query.order_by(of.created_at.desc(), of.digest.desc()).limit(limit))
+        return newest[::-1]
 
     def naming(self, plant: str, artifact: str) -> list[str]:
         """The digests of the decisions that name an artifact as candidate or incumbent."""

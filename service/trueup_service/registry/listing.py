@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sqlalchemy import ColumnElement, Select, Table, func, select
+from sqlalchemy.sql.base import ReadOnlyColumnCollection
 
 from trueup_service.registry import tables as t
 from trueup_service.registry.audit_log import ESCAPE
@@ -80,36 +81,53 @@ class Line:
 
 
 def lines(
-    tx: ReadTransaction, plant: str, kind: Labelled, wanted: Wanted
+    tx: ReadTransaction, plant: str, kind: Labelled, wanted: Wanted, limit: int = LINES
 ) -> tuple[list[Line], int]:
-    """The lines of a page, and how many there are on all of them. Raises KeyError where nothing can
-    be sorted by that."""
+    """The lines of a page of at most `limit`, and how many there are on all of them. Raises
+    KeyError where nothing can be sorted by that."""
     listed = LISTED[kind]
+    of = listed.table.c
+    name = func.coalesce(t.labels.c.name, of.digest)
+    by = {**listed.sorts, NAME: name}[wanted.sort.removeprefix("-")]
     matching = _matching(plant, kind, listed, wanted)
     count = tx.connection.scalar(matching.with_only_columns(func.count())) or 0
-    name = func.coalesce(t.labels.c.name, listed.table.c.digest)
-    by = {**listed.sorts, NAME: name}[wanted.sort.removeprefix("-")]
-    ordered = matching.order_by(
-        by.desc() if wanted.sort.startswith("-") else by, listed.table.c.digest
+    if by is name and not _by_label(wanted):  # the count needs no label then
+        matching = _with_label(matching, kind, of)
+    ordered = matching.order_by(by.desc() if wanted.sort.startswith("-") else by, of.digest)
+    digests = list(tx.connection.scalars(ordered.limit(limit).offset(limit * (wanted.page - 1))))
+    # Rows are wide: only those that are shown are read.
+    rows = tx.connection.execute(
+        select(listed.table).where(of.plant == plant, of.digest.in_(digests))
     )
-    rows = tx.connection.execute(ordered.limit(LINES).offset(LINES * (wanted.page - 1)))
-    records = [record_from_row(listed.record, listed.table, r) for r in rows.mappings()]
-    labels = tx.labels.of(plant, kind, [r.digest for r in records])
-    return [Line(r, labels.get(r.digest)) for r in records], int(count)
+    records = {
+        r["digest"]: record_from_row(listed.record, listed.table, r) for r in rows.mappings()
+    }
+    labels = tx.labels.of(plant, kind, digests)
+    return [Line(records[d], labels.get(d)) for d in digests], int(count)
+
+
+def _by_label(wanted: Wanted) -> bool:
+    """Whether lines are chosen by their labels."""
+    return bool(wanted.containing or wanted.tag)
+
+
+def _with_label(
+    query: Select[Any], kind: Labelled, of: ReadOnlyColumnCollection[str, Any]
+) -> Select[Any]:
+    return query.outerjoin(
+        t.labels,
+        (t.labels.c.plant == of.plant)
+        & (t.labels.c.kind == kind)
+        & (t.labels.c.subject == of.digest),
+    )
 
 
 def _matching(plant: str, kind: Labelled, listed: Listed, wanted: Wanted) -> Select[Any]:
+    """The digests of what matches."""
     of = listed.table.c
-    query = (
-        select(listed.table)
-        .outerjoin(
-            t.labels,
-            (t.labels.c.plant == of.plant)
-            & (t.labels.c.kind == kind)
-            & (t.labels.c.subject == of.digest),
-        )
-        .where(of.plant == plant)
-    )
+    query = select(of.digest).where(of.plant == plant)
+    if _by_label(wanted):
+        query = _with_label(query, kind, of)
     if wanted.containing:
         named = t.labels.c.name.icontains(wanted.containing, autoescape=True, escape=ESCAPE)
         query = query.where(

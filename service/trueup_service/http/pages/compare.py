@@ -29,6 +29,7 @@ Version = Annotated[int, Query(ge=1, le=2**31 - 1)]
 LISTED = 200  # versions to choose from, the newest
 MOST = 6  # versions beside each other
 COMPARED = 2  # versions, on recordings
+DECISIONS = 200  # that are drawn, the newest
 Versions = Annotated[Sequence[Version], Query(max_length=100)]
 
 
@@ -60,9 +61,11 @@ def compare(
             "compare",
             lambda r: [r["first"], r["second"]] == asked and len(r["episodes"]) > 1,
         )
-        decisions = tx.decisions.between(plant, asked)
+        decisions = tx.decisions.between(plant, asked, DECISIONS)
         gates = {g: find.gate(tx, plant, g).document for g in {d.gate for d in decisions}}
         labels = tx.labels.names(plant, Labelled.VERSION, asked)
+        named = {d for made in decisions for d in (made.candidate, made.incumbent)}
+        numbers = tx.artifacts.numbers(plant, sorted({*asked, *named}))
     values: dict[str, Any] = {
         "plant": plant,
         "chosen": records,
@@ -70,7 +73,8 @@ def compare(
         "versions": range(max(1, latest - LISTED + 1), latest + 1),
         "changes": differences([_described(r) for r in records]),
         "judged": judged(plant, decisions, {r.digest: r.version for r in records}, gates),
-        "numbers": {r.digest: r.version for r in records},
+        "numbers": numbers,
+        "most": DECISIONS if len(decisions) == DECISIONS else None,
     }
     if len(records) > COMPARED:
         return show(request, "compare_many.html", 200, **values)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from fastapi import Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from trueup_service.actions.label import Change, label
+from trueup.errors import TrueupError
+from trueup_service.actions.label import Change, label, label_of
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
-from trueup_service.http.pages.page import checked, form, go, own_path, page_router
+from trueup_service.http.pages.page import act, checked, form, own_path, page_router, show
 from trueup_service.http.routers.labels import Subject
 from trueup_service.http.schemas.labels import LabelChange
 from trueup_service.registry.label_record import Labelled
+from trueup_service.registry.transaction import reading
 
 router = page_router()
 
@@ -24,18 +28,33 @@ async def change(
     kind: Labelled,
     subject: Subject,
 ) -> Response:
-    """Change a label, and go back to the page of what is labelled."""
+    """Change a label, and go back to the page of what is labelled; where the change is refused,
+    show it again beside what the label is now."""
     fields = await form(request)
+    back = own_path(fields.get("back", "/"))
+
+    def change_it() -> object:
+        wanted = _wanted(fields)
+        return parts.writer.run(lambda tx: label(tx, plant, kind, subject, wanted, context))
+
+    def again(refused: TrueupError) -> Response:
+        with reading(parts.database) as tx:
+            now = label_of(tx, plant, kind, subject)
+        written = {name: fields.get(name, "") for name in ("name", "tags", "note")}
+        return show(request, "label.html", refused=refused, label=now, fields=written, back=back)
+
+    return await act(request, lambda: run_in_threadpool(change_it), again, back)
+
+
+def _wanted(fields: Mapping[str, str]) -> Change:
+    """The change that a form asks for. Raises BadRequest."""
     asked = checked(
         LabelChange.model_validate,
         {
             "name": fields.get("name", ""),
             "tags": [tag for tag in fields.get("tags", "").split(",") if tag.strip()],
             "note": fields.get("note", "").replace("\r\n", "\n"),
+            "updated_at": fields.get("updated_at"),
         },
     )
-    wanted = Change(asked.name, asked.tags, asked.note)
-    await run_in_threadpool(
-        parts.writer.run, lambda tx: label(tx, plant, kind, subject, wanted, context)
-    )
-    return go(own_path(fields.get("back", "/")))
+    return Change(asked.name, asked.tags, asked.note, asked.updated_at)

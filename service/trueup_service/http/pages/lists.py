@@ -14,7 +14,7 @@ from trueup.episode.role import Role
 from trueup_service.actions import find
 from trueup_service.actions.label import tag_as_kept
 from trueup_service.http.dependencies import PlantName, RequestParts
-from trueup_service.http.pages.page import page_router, show
+from trueup_service.http.pages.page import go, page_router, show
 from trueup_service.registry.label_record import Labelled
 from trueup_service.registry.listing import LINES, LISTED, NAME, Wanted, lines
 from trueup_service.registry.transaction import ReadTransaction, reading
@@ -118,11 +118,14 @@ def _shown(
     with reading(parts.database) as tx:
         find.plant_digest(tx, plant)
         listed, count = lines(tx, plant, kind, wanted)
+        pages = -(-count // LINES)
+        if count and wanted.page > pages:  # some are gone from the list since the link was made
+            return go(link(page=pages))
         values: dict[str, Any] = {
             "plant": plant,
             "lines": listed,
             "count": count,
-            "pages": -(-count // LINES),
+            "pages": pages,
             "asked": {**asked, "sort": sort, "tag": tag},
             "filtered": bool(wanted.containing or wanted.tag or only is not None),
             "link": link,

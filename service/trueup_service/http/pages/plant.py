@@ -53,7 +53,7 @@ def plant_page(
         latest = tx.artifacts.latest_version(plant)
         policy = tx.policies.in_force(plant)
         versions = list(reversed(tx.artifacts.page(plant, max(latest - ROWS, 0), ROWS)))
-        newest, episode_count = lines(tx, plant, Labelled.EPISODE, Wanted("-uploaded"))
+        newest, episode_count = lines(tx, plant, Labelled.EPISODE, Wanted("-uploaded"), ROWS)
         values: dict[str, Any] = {
             "plant": record,
             "label": label_of(tx, plant, Labelled.PLANT, plant),
@@ -80,12 +80,13 @@ def plant_page(
             "study_names": {kind: of.name for kind, of in STUDIES.items()},
             "diagnoses": [j for j in jobs if j.kind == "diagnose"][:ROWS],
             "called": tx.labels.names(plant, Labelled.VERSION, [v.digest for v in versions]),
-            "episodes": newest[:ROWS],
+            "episodes": newest,
             "episode_count": episode_count,
             "window": window,
             "entries": tx.log.newest_entries(NO_END, ENTRIES, plant=plant)
             if window is None
             else tx.log.entries_between(plant, *window, MOST_ENTRIES),
+            "most": MOST_ENTRIES,
         }
     return show(request, "plant.html", **values)
 

@@ -17,6 +17,7 @@ from trueup_service.registry.label_record import Labelled
 from trueup_service.registry.transaction import reading
 
 router = page_router()
+DECISIONS = 100  # that are listed, the newest
 Number = Annotated[int, Path(ge=1, le=2**31 - 1, description="A version's number")]
 
 
@@ -25,7 +26,7 @@ def version(request: Request, parts: RequestParts, plant: PlantName, version: Nu
     """A version, with the decisions that name it and the evidence at each stage."""
     with reading(parts.database) as tx:
         record = find.version(tx, plant, version)
-        made = tx.decisions.between(plant, [record.digest])
+        made = tx.decisions.between(plant, [record.digest], DECISIONS)
         digests = {digest for d in made for digest in (d.candidate, d.incumbent)}
         last = tx.evidence.last_by_stage(plant, record.digest)
         job = None if record.job is None else tx.jobs.get(record.job)
@@ -37,6 +38,7 @@ def version(request: Request, parts: RequestParts, plant: PlantName, version: Nu
             "summary": summary(json.loads(record.manifest)),
             "job": job,
             "decisions": made[::-1],
+            "most": DECISIONS if len(made) == DECISIONS else None,
             "numbers": tx.artifacts.numbers(plant, sorted(digests)),
             "evidence": [tx.evidence.get(plant, digest) for digest, _ in last.values()],
             "gate": next(reversed(tx.gates.in_order(plant)), None),

@@ -63,6 +63,6 @@ def change_label(
 ) -> Label:
     """A name, tags and a note, by which people find it again. They change nothing that is judged,
     and the log keeps what they were."""
-    asked = Change(change.name, change.tags, change.note)
+    asked = Change(change.name, change.tags, change.note, change.updated_at)
     made = parts.writer.run(lambda tx: label(tx, plant, kind, subject, asked, context))
     return Label.model_validate(made)

@@ -45,3 +45,11 @@ class LabelChange(RequestBody):
         Field(max_length=10 * MOST_TAGS, description="All tags; kept in lower case, each once"),
     ] = None
     note: Annotated[Lines | None, Field(description="Text of several lines")] = None
+    updated_at: Annotated[
+        str | None,
+        Field(
+            max_length=27,
+            description="The label's `updated_at` as it was read: refused with `label-changed` if "
+            "somebody changed it since",
+        ),
+    ] = None
