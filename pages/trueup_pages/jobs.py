@@ -19,6 +19,7 @@ NAMES = {
     "closedloop": "study in closed loop",
     "consistency": "consistency study",
     "randomise": "randomisation",
+    "excite": "design of an excitation",
 }
 LOST_S = 30.0  # after which a job that nothing is before should have begun [s]
 MINUTES_FROM_S, HOURS_FROM_S = 100.0, 6000.0

@@ -43,7 +43,6 @@ def _environment() -> Environment:
         inlined=lambda name: Markup(text_of(name)),
         drawing=drawing,
         words=summary_text,
-        numbers=number_text,
         timeline=timeline,
         zooms=zooms,
         page_of=page_of,
@@ -55,7 +54,11 @@ def _environment() -> Environment:
 
 
 def render(template: str, **values: Any) -> str:
-    """Renders a page, or a part of one."""
+    """Renders a page, or a part of one. Raises TypeError for a value that would hide what every
+    template knows by that name."""
+    hidden = values.keys() & _environment().globals.keys()
+    if hidden:
+        raise TypeError(f"every template knows {', '.join(sorted(hidden))}: choose another name")
     return _environment().get_template(template).render(**values)
 
 

@@ -238,6 +238,31 @@ def test_a_decision_discloses_that_an_open_loop_had_shown_its_episodes(service, 
     command(service, "audit", "verify")
 
 
+def test_the_service_designs_the_excitation_that_the_command_designs(service, fitted, tmp_path):
+    """The named episodes are those of the case folder, and every file agrees."""
+    case = tmp_path / "case"
+    case.mkdir()
+    for name in ("plant.json", "adaptation.mcap"):
+        (case / name).write_bytes((CHAPTER / name).read_bytes())
+    options = ("--spread", "0.2", "--duration-s", "6", "--seed", "3")
+    command(service, "excite", str(case), "--out", str(tmp_path / "here"), *options)
+    digest = hashlib.sha256((case / "adaptation.mcap").read_bytes()).hexdigest()
+    request = {"kind": "excite", "spread": 0.2, "duration_s": 6.0, "seed": 3, "episodes": [digest]}
+    with Client(service.url) as client:
+        job = client.wait(client.submit("chapter", request)["id"])
+        report = job["result"]["report"]
+        for name in ("excitation.csv", "excitation.mcap", "excitation.json"):
+            assert client.output(job["id"], name) == (tmp_path / "here" / name).read_bytes()
+    assert report["breaches"] == 0
+    assert "drawn" not in report
+    design = json.loads((tmp_path / "here" / "excitation.json").read_text())
+    assert report["check_first"] == design["check_first"]
+    command(service, "excite", "chapter", "--out", str(tmp_path / "there"), *options)
+    page = (tmp_path / "there" / "report.html").read_text()
+    assert page.count('<svg class="curves"') == 1 + 2  # the command, position and velocity
+    assert "hand on an emergency stop" in page
+
+
 REFUSED = [
     ({"kind": "closedloop", "versions": ["0" * 64]}, "not-found"),
     ({"kind": "closedloop", "authority": 1.5}, "invalid-request"),
@@ -247,6 +272,9 @@ REFUSED = [
     ({"kind": "consistency", "version": "f" * 64}, "not-found"),
     ({"kind": "randomise"}, "not-identifiable"),
     ({"kind": "randomise", "diagnosis": "0" * 32}, "not-found"),
+    ({"kind": "excite", "goal": "split", "spread": 0.1}, "not-identifiable"),
+    ({"kind": "excite", "diagnosis": "0" * 32}, "not-found"),
+    ({"kind": "excite", "duration_s": 0}, "invalid-request"),
     ({"kind": "fit", "method": "blind", "training": ["0" * 64]}, "not-found"),
 ]
 

@@ -186,13 +186,52 @@ def test_what_waits_says_behind_what_and_is_cancelled(seat, plant, running, clie
 
 def test_why_a_job_failed_is_on_its_page_and_in_the_command(seat, plant, running, client, tmp_path):
     client.upload_episode(plant, save(tmp_path, "e.mcap", episode_bytes()))
-    job = client.submit(plant, {"kind": "fit", "method": "residual", "features": ["nonsense"]})
-    with pytest.raises(Problem, match="nonsense"):
+    slow = {"kind": "excite", "spread": 0.1, "duration_s": 2, "rate": 1e-9}
+    job = client.submit(plant, slow)
+    with pytest.raises(Problem, match=r"excitation|command"):
         client.wait(job["id"])
     seat.go(f"/plants/{plant}/jobs/{job['id']}")
     expect(seat.page.locator("h1")).to_contain_text("failed")
     shown = command(running, "jobs", plant, "--show", job["id"][:8]).stdout
     assert seat.page.locator(".notice.bad").inner_text() in shown
+
+
+# -- an experiment
+
+
+def test_an_experiment_is_designed_looked_at_and_downloaded(seat, plant, client, tmp_path):
+    client.upload_episode(plant, save(tmp_path, "e.mcap", episode_bytes()))
+    seat.go(f"/plants/{plant}")
+    seat.page.get_by_role("link", name="Design an experiment…").click()
+    expect(seat.page.get_by_label("Goal").locator("option").nth(1)).to_be_disabled()
+    seat.page.get_by_label("From [Hz]").fill("0.5")
+    seat.page.get_by_role("button", name="Design").click()
+    expect(seat.page.get_by_role("alert")).to_contain_text("Fill in both frequencies")
+    expect(seat.page.get_by_label("From [Hz]")).to_have_value("0.5")
+    seat.expect_refusal(400)
+    seat.page.get_by_label("To [Hz]").fill("3")
+    seat.page.get_by_label("Duration [s]").fill("3")
+    seat.page.get_by_label("Spread of the declared numbers [%]").fill("20")
+    seat.page.get_by_role("button", name="Design").click()
+    seat.page.wait_for_url(re.compile("/studies/"))
+    check = seat.page.get_by_role("region", name="Check before you play it")
+    expect(check).to_contain_text("emergency stop", timeout=3 * A_MINUTE)
+    expect(seat.page.locator("h1")).to_contain_text("keeps its bounds under all 1000 models")
+    with seat.page.expect_download() as download:
+        seat.page.get_by_role("link", name="Download the command as CSV").click()
+    table = download.value.path().read_text()
+    assert table.startswith("# Bring the machine to rest at")
+    (job,) = [j for j in client.jobs(plant) if j["kind"] == "excite"]
+    assert (job["request"]["spread"], job["request"]["band_hz"]) == (0.2, [0.5, 3.0])
+
+
+def test_a_feature_that_the_plant_does_not_have_is_refused_at_once(seat, plant, client, tmp_path):
+    client.upload_episode(plant, save(tmp_path, "e.mcap", episode_bytes()))
+    for feature in ("nonsense", "q7"):
+        with pytest.raises(Problem, match=feature) as refused:
+            client.submit(plant, {"kind": "fit", "method": "residual", "features": [feature]})
+        assert refused.value.code == "bad-artifact"
+    assert list(client.jobs(plant)) == []
 
 
 # -- rules, policy, channels, monitor

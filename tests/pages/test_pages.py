@@ -75,6 +75,7 @@ def known(running, workers, tmp_path_factory):
                 ("consistency", {}),
                 # the ranges are those that the diagnosis supports
                 ("randomise", {"plants": 6, "steps": 60}),
+                ("excite", {"duration_s": 3}),
             )
         }
     return {
@@ -107,7 +108,8 @@ def pages(running, known):
         "draft": f"/new/{draft(running)}",
         "queue": "/jobs",
         **{
-            of: f"{HOME}/{of}" for of in ("upload", "jobs", "gate", "policy", "monitor", "channels")
+            of: f"{HOME}/{of}"
+            for of in ("upload", "excite", "jobs", "gate", "policy", "monitor", "channels")
         },
         "missing": "/plants/no-such-plant",
     }

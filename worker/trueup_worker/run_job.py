@@ -32,6 +32,7 @@ from trueup_worker import (
     run_compare,
     run_consistency,
     run_diagnosis,
+    run_excite,
     run_fit,
     run_gate,
     run_openloop,
@@ -59,6 +60,7 @@ KINDS: dict[str, ModuleType] = {
     "closedloop": run_closedloop,
     "consistency": run_consistency,
     "randomise": run_randomise,
+    "excite": run_excite,
 }
 
 

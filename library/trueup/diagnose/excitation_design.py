@@ -35,6 +35,7 @@ Array = NDArray[np.float64]
 ELSEWHERE = "add another sensor at the joint, or another load"
 QUIET = 1e-3  # share of the reporting scale: the noise assumed without a recording
 SCHEMA = "trueup.excitation/1"
+SPREAD = 0.3  # relative 95 % interval of declared numbers that nothing says anything of
 Progress = Callable[[str, float], None]
 
 
@@ -71,7 +72,7 @@ def design(
     allowed: Allowed,
     *,
     diagnosed: tuple[Corrected, Mapping[str, Any]] | None = None,
-    spread: float = 0.3,
+    spread: float = SPREAD,
     split: bool = False,
     seed: int = 0,
     progress: Progress = lambda _stage, _part: None,

@@ -37,6 +37,7 @@ JOBS: Mapping[str, Operation] = {
     "closedloop": Operation.MONITORING,
     "consistency": Operation.MONITORING,
     "randomise": Operation.CORRECTION,
+    "excite": Operation.MONITORING,
 }
 
 

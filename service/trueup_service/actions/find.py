@@ -43,6 +43,7 @@ PURPOSES = (
     "closedloop",
     "consistency",
     "randomise",
+    "excite",
 )
 T = TypeVar("T")
 

@@ -15,6 +15,7 @@ from trueup_service.actions.submit_study import (
     submit_closedloop,
     submit_comparison,
     submit_consistency,
+    submit_excitation,
     submit_openloop,
 )
 from trueup_service.actions.submit_trial import submit_gate
@@ -28,8 +29,9 @@ OF_FAMILIES = ("blind", "conditioned")  # methods that fit one map for a family 
 
 def submit_fit(s: Submission) -> JobRecord:
     """Submit a fit of `method` from the named adaptation episodes, or from all of them; of a whole
-    family from training episodes. Raises NotFound, RoleRefused, NotIdentifiable."""
+    family from training episodes. Raises NotFound, RoleRefused, NotIdentifiable, BadArtifact."""
     find.plant_digest(s.tx, s.plant)
+    _require_known_features(s)
     if s.request["method"] not in OF_FAMILIES:
         episodes = s.safeguarded(Role.ADAPTATION)
         require_some(episodes, Role.ADAPTATION, "adaptation episode to fit")
@@ -41,6 +43,22 @@ def submit_fit(s: Submission) -> JobRecord:
         require_context(s, episodes)
     frozen = _from_parent(s, digests_of(episodes))
     return s.enqueue("fit", {**frozen, "training": list(digests_of(training))})
+
+
+def _require_known_features(s: Submission) -> None:
+    """Raises BadArtifact for a feature of a residual that the plant does not have."""
+    features: Any = s.request.get("features")
+    if not features:
+        return
+    import numpy as np  # noqa: PLC0415  (a server that only serves needs none)
+
+    from trueup.model.features import design, known_features  # noqa: PLC0415  (numpy)
+    from trueup.model.plant import Plant  # noqa: PLC0415  (numpy)
+
+    plant = Plant.from_document(find.plant(s.tx, s.plant).document)
+    known_features(features, parameters=())
+    states, commands = np.zeros((1, 2 * len(plant.joints))), len(plant.layout.commands)
+    design(features, states, np.zeros((1, commands)), {})
 
 
 def submit_diagnosis(s: Submission) -> JobRecord:
@@ -198,4 +216,5 @@ SUBMIT = {
     "openloop": submit_openloop,
     "closedloop": submit_closedloop,
     "consistency": submit_consistency,
+    "excite": submit_excitation,
 }

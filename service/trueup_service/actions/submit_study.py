@@ -9,7 +9,7 @@ from trueup.episode.role import HELD_OUT, Role
 from trueup.errors import NotIdentifiable
 from trueup_service.actions import find
 from trueup_service.actions.submission import Submission, digests_of, require_some
-from trueup_service.registry.records import ArtifactRecord, EpisodeRecord, JobRecord
+from trueup_service.registry.records import ArtifactRecord, EpisodeRecord, JobRecord, JobState
 
 TOLD = 10  # earlier diagnoses beside a consistency study
 FEWEST = 2  # recordings that could agree
@@ -52,6 +52,43 @@ def submit_closedloop(s: Submission) -> JobRecord:
         require_some(episodes, Role.ADAPTATION, "adaptation episode to take the travel from")
     frozen = {**s.request, **_versions(s), "episodes": list(digests_of(episodes))}
     return s.enqueue("closedloop", frozen)
+
+
+def submit_excitation(s: Submission) -> JobRecord:
+    """Submit the design of an excitation from the named adaptation episodes, or from all of them:
+    for the model of the named diagnosis or of the newest; with a `spread`, or where nothing has
+    been diagnosed, for the declared model.
+
+    Raises NotFound, RoleRefused, NotIdentifiable.
+    """
+    find.plant_digest(s.tx, s.plant)
+    episodes = s.safeguarded(Role.ADAPTATION, optional=True)
+    diagnosis = _diagnosis(s)
+    if diagnosis is None and s.request["goal"] == "split":
+        raise NotIdentifiable(
+            "there are no alternatives to separate without a diagnosis",
+            hint="Diagnose the plant first, and leave out `spread`.",
+        )
+    frozen: dict[str, Json] = {**s.request, "episodes": list(digests_of(episodes))}
+    if diagnosis is not None:
+        frozen["diagnosis"] = diagnosis.id
+    return s.enqueue("excite", frozen)
+
+
+def _diagnosis(s: Submission) -> JobRecord | None:
+    """The diagnosis that a request names, else the newest; None with a `spread`. Raises
+    NotFound."""
+    named = s.request.get("diagnosis")
+    if named is None:
+        return (
+            None
+            if s.request.get("spread") is not None
+            else s.tx.jobs.last_succeeded(s.plant, "diagnose")
+        )
+    job = find.job(s.tx, str(named))
+    if (job.plant, job.kind, job.state) != (s.plant, "diagnose", JobState.SUCCEEDED):
+        raise find.not_found("diagnosis", str(named))
+    return job
 
 
 def submit_consistency(s: Submission) -> JobRecord:

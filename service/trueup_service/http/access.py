@@ -158,6 +158,8 @@ ACCESS: Mapping[tuple[str, str], Rule] = {
     ("GET", "/plants/{plant}/upload"): ENGINEERS,
     ("GET", "/plants/{plant}/gate"): READERS,
     ("POST", "/plants/{plant}/gate"): ENGINEERS,
+    ("GET", "/plants/{plant}/excite"): READERS,
+    ("POST", "/plants/{plant}/excite"): ENGINEERS,
     ("GET", "/plants/{plant}/policy"): READERS,
     ("POST", "/plants/{plant}/policy"): OPERATORS,
     ("GET", "/plants/{plant}/monitor"): READERS,

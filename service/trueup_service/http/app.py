@@ -25,6 +25,7 @@ from trueup_service.http.pages import compare as compare_page
 from trueup_service.http.pages import decision as decision_page
 from trueup_service.http.pages import diagnosis as diagnosis_page
 from trueup_service.http.pages import episode as episode_page
+from trueup_service.http.pages import excite as excite_page
 from trueup_service.http.pages import gate as gate_page
 from trueup_service.http.pages import jobs as jobs_page
 from trueup_service.http.pages import label as label_page
@@ -97,6 +98,7 @@ PAGES = (
     upload_page,
     jobs_page,
     gate_page,
+    excite_page,
     policy_page,
     monitor_page,
     channels_page,

@@ -61,6 +61,13 @@ class Episodes(Repository[EpisodeRecord]):
         query = query if since_ns is None else query.where(t.episodes.c.start_ns >= since_ns)
         return self._all(query.order_by(t.episodes.c.start_ns, t.episodes.c.digest))
 
+    def newest_of_role(self, plant: str, role: str) -> str | None:
+        """When the newest episode of a role came in, None where there is none."""
+        of = t.episodes.c
+        query = select(func.max(of.created_at)).where(of.plant == plant, of.role == role)
+        newest: str | None = self._connection.scalar(query)
+        return newest
+
     def samples_of_role(self, plant: str, role: str) -> set[str]:
         """The digests of the samples of every episode of a role, where they are known."""
         of = t.episodes.c
@@ -69,14 +76,18 @@ class Episodes(Repository[EpisodeRecord]):
         )
         return set(self._connection.scalars(query))
 
-    def count_held_out(self, plant: str) -> int:
-        """How many held-out episodes a plant has."""
+    def count_of_role(self, plant: str, *roles: str) -> int:
+        """How many episodes of some roles a plant has."""
         query = (
             select(func.count())
             .select_from(t.episodes)
-            .where(t.episodes.c.plant == plant, t.episodes.c.role.in_(HELD_OUT))
+            .where(t.episodes.c.plant == plant, t.episodes.c.role.in_(roles))
         )
         return int(self._connection.scalar(query) or 0)
+
+    def count_held_out(self, plant: str) -> int:
+        """How many held-out episodes a plant has."""
+        return self.count_of_role(plant, *HELD_OUT)
 
     def with_equal_samples(self, digest: str, plant: str | None = None) -> set[str]:
         """The digests of the episodes that hold the samples of this one, of one plant or of any.

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from sqlalchemy import ColumnElement, Select, Table, func, select
-from sqlalchemy.sql.base import ReadOnlyColumnCollection
 
 from trueup_service.registry import tables as t
 from trueup_service.registry.audit_log import ESCAPE
@@ -87,52 +86,38 @@ def lines(
     KeyError where nothing can be sorted by that."""
     listed = LISTED[kind]
     of = listed.table.c
-    name = func.coalesce(t.labels.c.name, of.digest)
-    by = {**listed.sorts, NAME: name}[wanted.sort.removeprefix("-")]
     matching = _matching(plant, kind, listed, wanted)
     count = tx.connection.scalar(matching.with_only_columns(func.count())) or 0
-    if by is name and not _by_label(wanted):  # the count needs no label then
-        matching = _with_label(matching, kind, of)
-    ordered = matching.order_by(by.desc() if wanted.sort.startswith("-") else by, of.digest)
+    ordered = _sorted(matching, kind, listed, wanted.sort)
     digests = list(tx.connection.scalars(ordered.limit(limit).offset(limit * (wanted.page - 1))))
     # Rows are wide: only those that are shown are read.
-    rows = tx.connection.execute(
-        select(listed.table).where(of.plant == plant, of.digest.in_(digests))
-    )
-    records = {
-        r["digest"]: record_from_row(listed.record, listed.table, r) for r in rows.mappings()
-    }
+    shown = select(listed.table).where(of.plant == plant, of.digest.in_(digests))
+    rows = tx.connection.execute(shown).mappings()
+    records = {row["digest"]: record_from_row(listed.record, listed.table, row) for row in rows}
     labels = tx.labels.of(plant, kind, digests)
     return [Line(records[d], labels.get(d)) for d in digests], int(count)
 
 
-def _by_label(wanted: Wanted) -> bool:
-    """Whether lines are chosen by their labels."""
-    return bool(wanted.containing or wanted.tag)
-
-
-def _with_label(
-    query: Select[Any], kind: Labelled, of: ReadOnlyColumnCollection[str, Any]
-) -> Select[Any]:
-    return query.outerjoin(
-        t.labels,
-        (t.labels.c.plant == of.plant)
-        & (t.labels.c.kind == kind)
-        & (t.labels.c.subject == of.digest),
-    )
-
-
 def _matching(plant: str, kind: Labelled, listed: Listed, wanted: Wanted) -> Select[Any]:
     """The digests of what matches."""
-    of = listed.table.c
+    of, label = listed.table.c, t.labels.c
     query = select(of.digest).where(of.plant == plant)
-    if _by_label(wanted):
-        query = _with_label(query, kind, of)
+    labelled = select(label.subject).where(label.plant == plant, label.kind == kind)
     if wanted.containing:
-        named = t.labels.c.name.icontains(wanted.containing, autoescape=True, escape=ESCAPE)
-        query = query.where(
-            named | of.digest.startswith(wanted.containing.lower(), autoescape=True)
-        )
+        named = label.name.icontains(wanted.containing, autoescape=True, escape=ESCAPE)
+        beginning = of.digest.startswith(wanted.containing.lower(), autoescape=True)
+        query = query.where(of.digest.in_(labelled.where(named)) | beginning)
     if wanted.tag:
-        query = query.where(has_tag(wanted.tag))
+        query = query.where(of.digest.in_(labelled.where(has_tag(wanted.tag))))
     return query if wanted.only is None else query.where(listed.selecting == wanted.only)
+
+
+def _sorted(query: Select[Any], kind: Labelled, listed: Listed, sort: str) -> Select[Any]:
+    """The digests in the order of what they are sorted by."""
+    of, label = listed.table.c, t.labels.c
+    name = sort.removeprefix("-")
+    if name == NAME:
+        its_own = (label.plant == of.plant) & (label.kind == kind) & (label.subject == of.digest)
+        query = query.outerjoin(t.labels, its_own)
+    by = {**listed.sorts, NAME: func.coalesce(label.name, of.digest)}[name]
+    return query.order_by(by.desc() if sort.startswith("-") else by, of.digest)

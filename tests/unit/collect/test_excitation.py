@@ -1,7 +1,6 @@
 """Designed excitations: bounded, safe under every model still in play, ending at rest, and worth
 more than a random one."""
 
-import inspect
 import json
 from dataclasses import replace
 from io import BytesIO
@@ -16,6 +15,7 @@ from trueup.collect.ensemble import Ensemble, InPlay
 from trueup.collect.excitation import Setting, at_rest, identification, resting
 from trueup.collect.wave import AT_REST
 from trueup.diagnose.diagnosis import diagnose
+from trueup.diagnose.excitation_design import SPREAD
 from trueup.episode.mcap import read_episode
 from trueup.episode.role import Role
 from trueup.episode.writer import write_episode
@@ -35,10 +35,6 @@ DOCUMENT = {
 }
 PLANT = Plant.from_document(DOCUMENT)
 NOISE = np.array([0.01, 0.02])
-
-
-# what the command assumes of each number where nobody says otherwise
-SPREAD = inspect.signature(excite).parameters["spread"].default
 
 
 def designed(plant=PLANT, spread=0.02, seed=0, duration_s=8.0, **bounds):
@@ -125,7 +121,7 @@ def test_two_sensors_of_one_motion_are_kept_within_both_their_ranges():
 def test_an_envelope_of_no_channel_is_told_and_not_passed_over(tmp_path):
     (tmp_path / "plant.json").write_text(json.dumps({**DOCUMENT, "envelope": {"Q": [-0.1, 0.1]}}))
     with pytest.raises(BadPlant, match="'Q', which is no observation"):
-        excite(tmp_path, out=tmp_path / "out")
+        excite(str(tmp_path), out=tmp_path / "out")
 
 
 @pytest.mark.parametrize("duration_s", [0.0, float("inf"), float("nan")])
@@ -260,7 +256,7 @@ def test_the_ensemble_of_a_diagnosis_is_as_uncertain_as_its_report():
 
 def test_the_command_writes_what_a_robot_plays_and_no_episode(tmp_path, capsys):
     (tmp_path / "plant.json").write_text(json.dumps(plant_document()))
-    excite(tmp_path, out=tmp_path / "out", spread=0.1, duration_s=6.0)
+    excite(str(tmp_path), out=tmp_path / "out", spread=0.1, duration_s=6.0)
     document = json.loads((tmp_path / "out" / "excitation.json").read_text())
     rows = (tmp_path / "out" / "excitation.csv").read_text().splitlines()
     said = [row.removeprefix("# ") for row in rows if row.startswith("#")]
@@ -290,9 +286,9 @@ def test_the_command_keeps_what_was_recorded_of_an_axis_that_nothing_holds(tmp_p
     }
     (tmp_path / "plant.json").write_text(json.dumps(axis))
     with pytest.raises(NotIdentifiable, match="may travel"):
-        excite(tmp_path, out=tmp_path / "out", duration_s=4.0)
+        excite(str(tmp_path), out=tmp_path / "out", duration_s=4.0)
     (tmp_path / "0.mcap").write_bytes(recording(0.0, 0.25, 0.13))
-    excite(tmp_path, out=tmp_path / "out", duration_s=4.0)
+    excite(str(tmp_path), out=tmp_path / "out", duration_s=4.0)
     document = json.loads((tmp_path / "out" / "excitation.json").read_text())
     t, u = np.loadtxt(
         tmp_path / "out" / "excitation.csv",

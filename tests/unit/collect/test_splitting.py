@@ -106,7 +106,7 @@ def test_without_alternatives_there_is_nothing_to_split(undecided, tmp_path):
     plant, _, _, episodes, result = undecided
     (tmp_path / "plant.json").write_text(json.dumps(plant.document))
     with pytest.raises(NotIdentifiable, match="without a diagnosis") as refused:
-        excite(tmp_path, out=tmp_path / "out", split=True)
+        excite(str(tmp_path), out=tmp_path / "out", split=True)
     assert "--model" in refused.value.hint
     write(result, episodes, tmp_path / "found", {})
     report = json.loads((tmp_path / "found" / "report.json").read_text())
@@ -114,7 +114,7 @@ def test_without_alternatives_there_is_nothing_to_split(undecided, tmp_path):
     report["next_experiment"] = {"why": "No command parts them: log the motor current."}
     (tmp_path / "found" / "report.json").write_text(json.dumps(report))
     with pytest.raises(NotIdentifiable, match="left no alternatives") as refused:
-        excite(tmp_path, out=tmp_path / "out", model=tmp_path / "found", split=True)
+        excite(str(tmp_path), out=tmp_path / "out", model=str(tmp_path / "found"), split=True)
     assert "motor current" in refused.value.hint
 
 
@@ -124,7 +124,13 @@ def test_the_command_writes_the_experiment(undecided, tmp_path, capsys, monkeypa
     monkeypatch.setattr("trueup.collect.excitation.IMPROVED", 4)
     (tmp_path / "plant.json").write_text(json.dumps(plant.document))
     write(result, episodes, tmp_path / "found", {})
-    excite(tmp_path, out=tmp_path / "out", model=tmp_path / "found", split=True, duration_s=10.0)
+    excite(
+        str(tmp_path),
+        out=tmp_path / "out",
+        model=str(tmp_path / "found"),
+        split=True,
+        duration_s=10.0,
+    )
     document = json.loads((tmp_path / "out" / "excitation.json").read_text())
     assert document["goal"] == "split"
     # of the noise that the diagnosis result

@@ -73,7 +73,7 @@ def compare(
         "versions": range(max(1, latest - LISTED + 1), latest + 1),
         "changes": differences([_described(r) for r in records]),
         "judged": judged(plant, decisions, {r.digest: r.version for r in records}, gates),
-        "numbers": numbers,
+        "version_of": numbers,
         "most": DECISIONS if len(decisions) == DECISIONS else None,
     }
     if len(records) > COMPARED:

@@ -146,5 +146,5 @@ def _beside(tx: ReadTransaction, plant: str, kind: Labelled, records: list[Any])
         return {"judged": tx.decisions.newest_on(plant, [r.digest for r in records])}
     if kind is Labelled.DECISION:
         named = {d for r in records for d in (r.candidate, r.incumbent)}
-        return {"numbers": tx.artifacts.numbers(plant, sorted(named))}
+        return {"version_of": tx.artifacts.numbers(plant, sorted(named))}
     return {}

@@ -15,6 +15,7 @@ from trueup_service.registry.records import DecisionRecord, JobRecord, Move, Rol
 from trueup_service.registry.transaction import ReadTransaction
 
 SOUGHT = 50  # of the newest decisions
+REQUIRED = ("adaptation", "validation")  # roles without which nothing is diagnosed
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +49,8 @@ def next_step(tx: ReadTransaction, plant: str, serving: Move) -> NextStep:
             command=command("jobs", plant),
             rest=rest("GET", f"/v1/jobs/{job.id}"),
         )
-    recorded = tx.episodes.of_roles(plant, ("adaptation", "validation"))
-    missing = [
-        role for role in ("adaptation", "validation") if not any(e.role == role for e in recorded)
-    ]
+    newest = {role: tx.episodes.newest_of_role(plant, role) for role in REQUIRED}
+    missing = [role for role, at in newest.items() if at is None]
     if missing:
         return NextStep(
             "Upload recordings",
@@ -63,9 +62,8 @@ def next_step(tx: ReadTransaction, plant: str, serving: Move) -> NextStep:
         )
     if not tx.gates.in_order(plant):
         return _declare_gate(plant)
-    newest = max(e.created_at for e in recorded)
     diagnosis = tx.jobs.last_succeeded(plant, "diagnose")
-    if diagnosis is None or diagnosis.created_at < newest:
+    if diagnosis is None or diagnosis.created_at < max(at for at in newest.values() if at):
         return NextStep(
             "Diagnose the gap",
             "Recordings were added since the last diagnosis."

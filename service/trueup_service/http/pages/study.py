@@ -1,5 +1,5 @@
-"""The pages of studies in open and in closed loop, and of randomisations: their progress while
-they run, then their reports."""
+"""The pages of studies in open and in closed loop, of randomisations and of designed excitations:
+their progress while they run, then their reports."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, Literal
 import orjson
 from fastapi import Request, Response
 
-from trueup_pages import closed_loop, consistency, open_loop, randomisation
+from trueup_pages import closed_loop, consistency, excitation, open_loop, randomisation
 from trueup_service.actions import find
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
 from trueup_service.http.pages.job_page import as_file, job_of, require_report, until_it_succeeds
@@ -33,13 +33,14 @@ REPORT = "report.json"
 @dataclass(frozen=True, slots=True)
 class Study:
     """A kind of study: what it is called, its page's body, what makes the values of that, its
-    report as one file, and the request that a page submits."""
+    report as one file, and the request that a button submits; None where a page of its own asks for
+    more."""
 
     name: str
     body: str
     view: Callable[[Mapping[str, Any]], dict[str, Any]]
     report_page: Callable[[Mapping[str, Any]], str]
-    request: OpenloopRequest | ClosedloopRequest | ConsistencyRequest | RandomisationRequest
+    request: OpenloopRequest | ClosedloopRequest | ConsistencyRequest | RandomisationRequest | None
 
 
 STUDIES: Mapping[str, Study] = {
@@ -71,6 +72,13 @@ STUDIES: Mapping[str, Study] = {
         randomisation.report_page,
         RandomisationRequest(kind="randomise"),
     ),
+    "excite": Study(
+        "excitation",
+        excitation.BODY,
+        excitation.view,
+        excitation.report_page,
+        None,
+    ),
 }
 Kind = Literal["openloop", "closedloop", "consistency", "randomise"]
 
@@ -100,7 +108,8 @@ def report(parts: RequestParts, plant: PlantName, job: JobId) -> Response:
 @router.post("/plants/{plant}/studies/{kind}")
 def begin(parts: RequestParts, context: RequestContext, plant: PlantName, kind: Kind) -> Response:
     """Submit a study of the nominal model and what serves, and go to its page."""
-    asked = STUDIES[kind].request.model_dump(exclude={"kind"}, exclude_none=True)
+    at_once = STUDIES[kind].request
+    asked = at_once.model_dump(exclude={"kind"}, exclude_none=True) if at_once else {}
     job = begin_job(parts, context, plant, kind, asked)
     return go(f"/plants/{plant}/studies/{job}")
 

@@ -39,7 +39,7 @@ def version(request: Request, parts: RequestParts, plant: PlantName, version: Nu
             "job": job,
             "decisions": made[::-1],
             "most": DECISIONS if len(made) == DECISIONS else None,
-            "numbers": tx.artifacts.numbers(plant, sorted(digests)),
+            "version_of": tx.artifacts.numbers(plant, sorted(digests)),
             "evidence": [tx.evidence.get(plant, digest) for digest, _ in last.values()],
             "gate": next(reversed(tx.gates.in_order(plant)), None),
         }

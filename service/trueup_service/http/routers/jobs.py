@@ -33,6 +33,7 @@ from trueup_service.http.schemas.jobs import (
     ComparisonRequest,
     ConsistencyRequest,
     DiagnosisRequest,
+    ExcitationRequest,
     FitRequest,
     GateRequest,
     Job,
@@ -63,7 +64,8 @@ JobRequest = Annotated[
     | OpenloopRequest
     | ClosedloopRequest
     | ConsistencyRequest
-    | RandomisationRequest,
+    | RandomisationRequest
+    | ExcitationRequest,
     Body(discriminator="kind"),
 ]
 

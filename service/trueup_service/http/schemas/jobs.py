@@ -272,6 +272,52 @@ class RandomisationRequest(RequestBody):
     )
 
 
+class ExcitationRequest(RequestBody):
+    """Design a bounded excitation: a command that identifies the numbers of a model best, or that
+    separates the explanations which a diagnosis left, and is safe under every model in play.
+
+    `diagnosis` is the id of a job, null for the newest. `spread`, or no diagnosis at all, designs
+    for the declared model instead. `episodes` are the adaptation episodes whose ranges bound the
+    command, null for all of them.
+    """
+
+    kind: Literal["excite"]
+    goal: Literal["identify", "split"] = "identify"
+    diagnosis: str | None = Field(None, pattern=r"^[0-9a-f]{32}$")
+    spread: float | None = Field(
+        None,
+        gt=0,
+        le=1,
+        allow_inf_nan=False,
+        description="of the declared model: relative 95 % interval of each number; 0.3 where "
+        "nothing has been diagnosed",
+    )
+    episodes: list[Digest] | None = None
+    duration_s: float = Field(
+        12.0, gt=0, le=3600, allow_inf_nan=False, description="without the hold at its end [s]"
+    )
+    band_hz: tuple[Finite, Finite] | None = Field(
+        None,
+        description="lowest and highest frequency [Hz]; null: by the duration and the time step",
+    )
+    rate: float | None = Field(
+        None,
+        gt=0,
+        allow_inf_nan=False,
+        description="largest change of a command [its unit / s]; null: as recorded",
+    )
+    speed: float | None = Field(
+        None,
+        gt=0,
+        allow_inf_nan=False,
+        description="largest speed of a joint [its unit / s]; null: as recorded",
+    )
+    margin: float = Field(
+        0.1, ge=0, lt=1, allow_inf_nan=False, description="share of the envelope that is kept free"
+    )
+    seed: int = Field(0, ge=0, lt=2**32)
+
+
 class CalibrationRequest(RequestBody):
     """Calibrate a monitor of what serves now. `episodes` are healthy episodes, null for all of the
     role reference."""
