@@ -175,7 +175,14 @@ def _show(report: dict[str, Any]) -> None:
         report["title"],
         ["", "designed", "random, same bounds"],
         [
-            *((f["what"], f["designed"], f["random"]) for f in report["figures"]),
+            *(
+                (
+                    f"{f['what']} [{f['unit']}]" if f["unit"] else f["what"],
+                    f["designed"],
+                    f["random"],
+                )
+                for f in report["figures"]
+            ),
             (
                 "leaves the envelope",
                 f"under {report['breaches']} of {members} models",

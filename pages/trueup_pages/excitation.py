@@ -14,6 +14,7 @@ from trueup_pages.rendering import render
 
 BODY = "excitation_body.html"
 TIME = "time [s]"
+FAR = 4.0  # times the range of the motion: bounds further apart are not drawn
 
 
 def sentence(document: Mapping[str, Any]) -> str:
@@ -83,6 +84,11 @@ def _command(t_s: list[float], channel: Mapping[str, Any]) -> Markup:
 
 
 def _motion(t_s: list[float], channel: Mapping[str, Any]) -> Markup:
+    """The motion; bounds that lie so far away that it would look flat beside them are left out, and
+    named."""
+    low, high = min(channel["low"]), max(channel["high"])
+    bounds = channel["bounds"]
+    far = bounds is not None and bounds[1] - bounds[0] > FAR * (high - low)
     lines = [
         *(
             Curve(
@@ -96,9 +102,14 @@ def _motion(t_s: list[float], channel: Mapping[str, Any]) -> Markup:
             Curve(name, colour(i), tuple(zip(t_s, values, strict=True)))
             for i, (name, values) in enumerate(channel["central"].items())
         ),
-        *_levels("bound", t_s, channel["bounds"]),
+        *_levels("bound", t_s, None if far else bounds),
     ]
-    return _drawn(lines, channel, "the motion under every model")
+    away = (
+        f"Bounds at {short(bounds[0])} and {short(bounds[1])}, beyond the picture." if far else ""
+    )
+    return _drawn(lines, channel, "the motion under every model") + Markup(
+        '<p class="pale">{}</p>'
+    ).format(away)
 
 
 def _levels(name: str, t_s: list[float], levels: list[float] | None) -> list[Curve]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from trueup.canonical import Json, digest_of
 from trueup.collect.bounds import UNBOUNDED
 from trueup.collect.checklist import command_table
+from trueup.diagnose.between_recordings import named
 from trueup.diagnose.excitation_design import Design
 from trueup.episode.writer import write_episode
 
@@ -51,18 +52,41 @@ def excitation_report(designed: Design) -> dict[str, Any]:
     """The design as a report: its document, the digest by which a recording of it names it, each
     figure beside that of random excitations, and under `drawn` the command and the motion."""
     excitation, document = designed.excitation, dict(designed.document)
-    others = dict(excitation.random.information.rows())
+    others, units = dict(excitation.random.information.rows()), _units(designed)
     return {
         **document,
         "excitation": digest_of(document),
         "title": excitation.title,
         "figures": [
-            {"what": name, "designed": _finite(value), "random": _finite(others[name])}
+            {
+                "what": name,
+                "unit": measure,
+                "designed": _finite(value * factor),
+                "random": _finite(others[name] * factor),
+            }
             for name, value in excitation.information.rows()
+            for measure, factor in [units.get(name, ("", 1.0))]
         ],
         "not_parted": list(designed.not_parted),
         "drawn": _drawn(designed),
     }
+
+
+def _units(designed: Design) -> dict[str, tuple[str, float]]:
+    """The declared unit of each number of the models in play, and how many of it one of the
+    number's own is."""
+    plant, units = designed.plant, {}
+    of = [("", name, name) for name in plant.nominal]
+    for ensemble in designed.play.ensembles:
+        of += [
+            (term, number, f"{plant.term_words(term)} {number}")
+            for term in ensemble.hypothesis.effects
+            for number in plant.block.rows_of(term)
+        ]
+    for term, number, name in of:
+        described, factor = named(plant, term, number)
+        units[name] = (str(described["unit"]), factor)
+    return units
 
 
 def _drawn(designed: Design) -> dict[str, Json]:
