@@ -87,13 +87,14 @@ docs: $(RUN) ## write the pages that are made from the code
 	@$(BIN)/python docs/make_access.py
 	@$(BIN)/python docs/make_commands.py
 	@$(BIN)/python docs/make_api.py
+	@$(BIN)/python docs/make_python.py
 	@$(BIN)/python docs/make_gates.py
 	@$(BIN)/python docs/make_figures.py
 	@$(BIN)/python docs/make_capacity.py
 	@$(BIN)/python docs/make_scoreboard.py
 
 site: $(DEV) ## build the documentation as a site in build/site
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@$(BIN)/python docs/site/make_site.py
 	@echo "build/site/index.html"
 
 pictures: $(DEV) ## take the pictures of the documentation anew, from a diagnosis that runs now

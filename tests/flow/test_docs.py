@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.browser import browsing
 from tests.support.s3 import until_listening
 from tests.support.service import ROOT, free_port
 from trueup.model.effect import effects as catalogue
@@ -131,24 +132,20 @@ def _until_ready(url):
             time.sleep(0.1)
 
 
-def test_the_site_builds_with_every_link_and_loads_from_nowhere_else(tmp_path):
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The site, built with every link checked."""
+    folder = tmp_path_factory.mktemp("built") / "site"
+    make = ROOT / "docs" / "site" / "make_site.py"
     made = subprocess.run(
-        [
-            Path(sys.executable).parent / "mkdocs",
-            "build",
-            "--strict",
-            "--quiet",
-            "--site-dir",
-            tmp_path / "site",
-        ],
-        cwd=ROOT,
-        env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
-        capture_output=True,
-        text=True,
-        check=False,
+        [sys.executable, make, folder], capture_output=True, text=True, check=False
     )
-    assert (made.returncode, made.stderr) == (0, "")
-    pages = list((tmp_path / "site").rglob("*.html"))
+    assert made.returncode == 0, made.stdout + made.stderr
+    return folder
+
+
+def test_the_site_loads_from_nowhere_else(site):
+    pages = list(site.rglob("*.html"))
     assert len(pages) > 25
     for page in pages:
         loaded = re.findall(
@@ -156,13 +153,29 @@ def test_the_site_builds_with_every_link_and_loads_from_nowhere_else(tmp_path):
             page.read_text(),
         )
         assert loaded == [], page
-    for sheet in (tmp_path / "site").rglob("*.css"):
+    for sheet in site.rglob("*.css"):
         assert not re.search(r"(?:url\(|@import)\s*['\"]?(?:https?:)?//", sheet.read_text()), sheet
-    effects = (tmp_path / "site" / "effects.html").read_text()
+    effects = (site / "effects.html").read_text()
     assert effects.count("<img") == len(catalogue())
-    assert "Predict an episode" in (tmp_path / "site" / "commands.html").read_text()
-    assert "upload_episode" in (tmp_path / "site" / "python.html").read_text()
-    method = (tmp_path / "site" / "diagnosis.html").read_text()
+    assert "Predict an episode" in (site / "commands.html").read_text()
+    assert "upload_episode" in (site / "python.html").read_text()
+    assert not any(":::" in page.read_text() for page in pages)
+    method = (site / "diagnosis.html").read_text()
     equations = (ROOT / "docs" / "diagnosis.md").read_text().count("```math")
     assert method.count('display="block"') == equations > 0
     assert "\\sum" not in method
+
+
+def test_the_site_is_searched_from_a_folder(site):
+    asked, faults = [], []
+    with browsing() as browser:
+        page = browser.new_page()
+        page.on("request", lambda request: asked.append(request.url))
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        page.goto((site / "adr" / "0001-folders-say-what-is-deployed.html").as_uri())
+        page.get_by_role("button", name="Search").click()
+        page.keyboard.type("stribeck")
+        page.locator("a", has_text="stribeck_friction").first.click()
+        page.wait_for_url("**/effects.html**")
+    assert faults == []
+    assert all(url.startswith("file:") for url in asked)

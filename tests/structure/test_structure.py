@@ -158,6 +158,7 @@ def test_every_setting_is_documented():
         "access",
         "api",
         "gates",
+        "python",
         "figures",
         "capacity",
         "scoreboard",
