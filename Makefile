@@ -99,6 +99,7 @@ site: $(DEV) ## build the documentation as a site in build/site
 
 pictures: $(DEV) ## take the pictures of the documentation anew, from a diagnosis that runs now
 	@PYTHONPATH=. $(BIN)/python docs/make_pictures.py
+	@$(BIN)/python docs/method_pictures.py
 
 OURS := trueup $(patsubst %,trueup-%,$(filter-out library,$(PARTS)))
 COMPILE := $(BIN)/uv pip compile --quiet --universal --generate-hashes --no-annotate --no-header \
