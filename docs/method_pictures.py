@@ -78,7 +78,7 @@ def _noise(diagnosis: Diagnosis) -> str:
         [np.diff(e.observations[:, 0], 4) / FOURTH / sigma for e in diagnosis.recordings.every]
     )
     step = float(quality.lattice[diagnosis.plant.state_columns[0]]) / FOURTH / sigma
-    step = step or 2.0 * WIDEST / BINS  # a bar for each value, where values lie on steps
+    step = 2.0 * step or 2.0 * WIDEST / BINS  # whole steps, where values lie on some
     edges = (np.arange(-np.ceil(WIDEST / step), np.ceil(WIDEST / step) + 2.0) - 0.5) * step
     share, _ = np.histogram(differences, edges)
     density = share / len(differences) / np.diff(edges)

@@ -1,6 +1,7 @@
 """Every snippet of the tutorial and the how-tos runs and prints what its page says; the site
 builds, and loads from nowhere else."""
 
+import json
 import os
 import re
 import subprocess
@@ -122,6 +123,24 @@ def test_every_snippet_of_a_page_runs_and_prints_what_it_says(page, shared, tmp_
             printed = re.compile(pattern).search(said, at)
             assert printed, f"{command!r} is said to print {line!r} and prints {said[at:]!r}"
             at = printed.end()
+
+
+def test_the_figures_in_the_prose_of_the_tutorial_are_those_of_its_diagnosis(shared):
+    prose = plain((ROOT / "docs" / "tutorial.md").read_text())
+    report = json.loads((shared / "diagnosis" / "report.json").read_text())
+    level = next(
+        e["estimate"]["level"]["value"]
+        for e in report["effects"]
+        if e["effect"] == "coulomb_friction"
+    )
+    for words, value in {
+        "the declared model is off by ": report["gap"]["before"],
+        "the corrected one by ": report["gap"]["after"],
+        "a Coulomb level of about ": level,
+    }.items():
+        written = re.search(re.escape(words) + r"([\d.]*\d)", prose).group(1)
+        decimals = len(written.partition(".")[2])
+        assert written == f"{value:.{decimals}f}", words
 
 
 def _until_ready(url):
