@@ -58,7 +58,7 @@ _GROUPS: dict[str, dict[str, tuple[str, str, tuple[int, ...]]]] = {
             "Show what the recordings of a case can show.",
             LOCAL,
         ),
-        "excite": ("excite:excite", "Design a bounded excitation that is safe.", LOCAL),
+        "excite": ("excite:excite", "Design a bounded excitation that is safe.", VERIFIES),
         "predict": ("predict:predict", "Roll a model out over an episode.", LOCAL),
         "convert": ("convert:convert", "Write a model for another tool.", LOCAL),
         "effects": ("effects:effects", "List the effects, or check one of your own.", LOCAL),

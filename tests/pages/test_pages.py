@@ -102,14 +102,14 @@ def pages(running, known):
         "closer": f"{HOME}?since=2026-01-01&until=2126-01-01",
         "version": f"{HOME}/versions/2",
         **{of: f"{HOME}/{of}" for of in ("episodes", "versions", "decisions")},
+        "experiment": f"{HOME}/excite",
         "rollback": f"{HOME}/rollback",
         "audit": "/audit",
         "new": "/new",
         "draft": f"/new/{draft(running)}",
         "queue": "/jobs",
         **{
-            of: f"{HOME}/{of}"
-            for of in ("upload", "excite", "jobs", "gate", "policy", "monitor", "channels")
+            of: f"{HOME}/{of}" for of in ("upload", "jobs", "gate", "policy", "monitor", "channels")
         },
         "missing": "/plants/no-such-plant",
     }

@@ -13,6 +13,7 @@ OPERATIONS = {
     "compare": "monitoring", "openloop": "monitoring", "closedloop": "monitoring",
     "consistency": "monitoring",
     "randomise": "model correction",
+    "excite": "monitoring",
 }  # fmt: skip
 
 
