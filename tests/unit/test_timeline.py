@@ -107,11 +107,11 @@ def test_stretches_lead_earlier_later_closer_and_further():
     assert zooms("p", None, []) == []
 
 
-@pytest.mark.parametrize("span_s", [1.0, 7.0, 90.0, 4000.0, 86400.0, 9e6, 4e8])
+@pytest.mark.parametrize("span_s", [1.0, 7.0, 90.0, 4e3, 86400.0, 9e6, 4e8, 3e9, 2e11])
 def test_ticks_are_round_moments_and_few(span_s):
     first = START.timestamp() + 0.3
     moments = ticks(first, first + span_s)
-    assert len(moments) <= 8
+    assert 1 <= len(moments) <= 8
     assert all(first <= at <= first + span_s for at, _ in moments)
     assert len({written for _, written in moments}) == len(moments)
 
