@@ -141,7 +141,9 @@ def _described(name: str, what: Any, level: int) -> list[str]:
         return [*heading, f"*{gives}*", "", words, ""] if gives else [*heading, words, ""]
     if not callable(of):
         return [*heading, words, ""]
-    return [*heading, "```", _signature(name, of), "```", "", words, ""]
+    # Indented, for a fence would say that it can be run.
+    signature = [f"    {line}" for line in _signature(name, of).splitlines()]
+    return [*heading, *signature, "", words, ""]
 
 
 def _signature(name: str, of: Any) -> str:

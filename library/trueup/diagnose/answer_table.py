@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from trueup.diagnose.number_text import percent, short, unit, with_interval
@@ -35,7 +35,7 @@ PLACES = {
 SMALL, LARGE = 0.05, 0.3
 MOST_PARAMETERS = 3  # refitted ones that a row names
 MOST_CHANNELS = 2  # whose errors a sentence names
-WORTH_A_LINE = 0.01  # of the gap, left unexplained
+WORTH_A_LINE = 0.01  # of the gap: less is not listed
 COUNTED = ("dropped_frames", "sensor_quantization")  # effects that are seen in the samples
 PLAINLY = 1.1  # times the answer's error, where a report has no interval of the difference
 SYMBOLS = (
@@ -96,14 +96,18 @@ def rows(report: Mapping[str, Any]) -> list[Row]:
     ]
     if (share := parts.get(NEW_NUMBERS, 0.0)) >= EVIDENCE.worth_naming or _moved(report):
         table.append((share, _refitted_row(report, share)))
-    if (share := parts.get(SAME_NUMBERS, 0.0)) >= EVIDENCE.worth_naming:
-        table.append((share, Row("integration and start", "simulation", (), percent(share), "")))
+    start = parts.get(SAME_NUMBERS, 0.0)
+    begins = Row(SAME_NUMBERS, "simulation", (), percent(start), "")
+    if start >= EVIDENCE.worth_naming:
+        table.append((start, begins))
     nearest = report.get("nearest")
     if nearest and nearest["effects"] and parts.get(NEAREST):
         what = f"nearest: {composition(nearest['effects'])}"
         table.append((parts[NEAREST], Row(what, "", (), percent(parts[NEAREST]), "not enough")))
     table.sort(key=lambda r: -r[0])
     last = [_effect_row(report, e, parts, is_slight=True) for e in slight]
+    if WORTH_A_LINE <= start < EVIDENCE.worth_naming:
+        last.append(replace(begins, is_slight=True))
     if (left := parts.get(UNEXPLAINED, 0.0)) >= WORTH_A_LINE:
         last.append(Row("not explained", "", (), percent(left), "", is_slight=True))
     return [] if report["verdict"] == "no_gap" else [row for _, row in table] + last
