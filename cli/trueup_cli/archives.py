@@ -200,11 +200,11 @@ def _verified_archive(source: Path, key: str | None, *, any_key: bool) -> Iterat
         if named_key is None and not any(k.signed(archive.signature, statement) for k in trusted):
             if not any_key:
                 raise KeyNotGiven(
-                    f"the archive says that it is signed with {named}, and nobody else does",
+                    f"only the archive itself says that it is signed with {named}",
                     key=named,
                 )
             say(
-                "[bold]Whose it is, nobody has shown[/]: the archive names its own key, {}",
+                "[bold]Its origin is not verified[/]: the key comes from the archive itself, {}",
                 named,
                 to=err,
             )

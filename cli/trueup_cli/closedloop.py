@@ -54,7 +54,7 @@ def closedloop(
     ] = (0, 1, 2, 3),
     delay_ticks: Annotated[
         int,
-        Parameter(help="Delay of the delayed regime's sensor", validator=Number(gte=0, lte=1000)),
+        Parameter(help="Sensor delay, delayed regime [ticks]", validator=Number(gte=0, lte=1000)),
     ] = 3,
     authority: Annotated[
         float,
@@ -83,18 +83,19 @@ def closedloop(
     effort: Annotated[
         float | None,
         Parameter(
-            help="Cost of a squared command, in squares of a single joint's position",
+            help="Weight of the squared command, in squared position units of one joint",
             validator=Number(gte=0.0),
         ),
     ] = None,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """Run models in closed loop with a fixed planner, and tell tracking and envelope apart.
+    """Run models in closed loop with a fixed planner; report tracking error and breaches.
 
     A better prediction need not track better. Every model gets the same references, seeds and
-    draws, on the nominal plant, on what stands in for the machine, on that seen late, and on that
-    with reduced authority. Writes report.json and report.html. All of it is simulation (MIL).
+    draws in four regimes: the nominal plant, a stand-in for the machine, the stand-in observed
+    late, and the stand-in with reduced command range. Writes report.json and report.html. All of
+    it is simulation (MIL).
 
     Parameters
     ----------

@@ -164,8 +164,8 @@ class Walk:
         client.promote(plant, digest, decision["generation"])
         show_serving([client.serving(plant)], as_json_=False)
         say(
-            "Back again, in one call that is tested first: trueup rollback {}. Into your own code: "
-            "trueup fetch {} FOLDER",
+            "To go back, after a test of the older version: trueup rollback {}. To use the model "
+            "in your own code: trueup fetch {} FOLDER",
             plant,
             plant,
         )

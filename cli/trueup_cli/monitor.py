@@ -89,8 +89,8 @@ def show_calibration(document: dict[str, Any]) -> None:
     )
     if not document["figures"]["promise_shown"]:
         say(
-            "[yellow]The reference is shorter than the promise: the levels rest on what is "
-            "assumed of the tail.[/]"
+            "[yellow]The reference is too short to show the promised rate: the alarm thresholds "
+            "rest on an assumed tail of the distribution.[/]"
         )
     for d in document["detectors"]:
         say("[dim]{}: {}[/]", d["detector"], d["rests_on"])

@@ -93,7 +93,7 @@ def upload(
             say("[yellow]{} of {} episodes[/]: {}", times, len(uploaded), warning)
         if warned:
             say(
-                "[dim]A recording declares in its metadata record `episode`, a plant in "
+                "[dim]Declare what is missing in the recording's metadata record `episode`, or in "
                 "plant.json: docs/plant.md.[/]"
             )
         table(

@@ -147,10 +147,10 @@ class NotInstalled(TrueupError):
 
 
 class NotExportable(TrueupError):
-    """This model has no form in what was asked for."""
+    """This model cannot be written in the format that was asked for."""
 
     code = "not-exportable"
-    hint = "docs/export.md says which models have which form."
+    hint = "docs/export.md lists the formats in which each kind of model can be written."
 
 
 class NotImportable(TrueupError):
@@ -177,8 +177,8 @@ class MlflowRefused(TrueupError):
 
     code = "mlflow-refused"
     hint = (
-        "Say where it is with --registry or MLFLOW_TRACKING_URI, and who asks as its own "
-        "client does (MLFLOW_TRACKING_TOKEN)."
+        "Name the registry with --registry or MLFLOW_TRACKING_URI; log in as for MLflow's own "
+        "client (MLFLOW_TRACKING_TOKEN)."
     )
 
 
@@ -235,14 +235,14 @@ class LedgerError(TrueupError):
     """The ledger cannot explain the state."""
 
     code = "ledger-error"
-    hint = "Stop promoting; run `trueup audit --verify`."
+    hint = "Stop promoting; run `trueup audit verify`."
 
 
 class PointerMoved(LedgerError):
     """The serving pointer is not at the generation that the caller expects."""
 
     code = "pointer-moved"
-    hint = "Ask what is serving now, decide again against it, and send its generation."
+    hint = "Look up what serves now, judge again against it, and send the new generation."
 
 
 class BrokenChain(LedgerError):

@@ -33,7 +33,7 @@ def sentence(document: Mapping[str, Any]) -> str:
             "taken, so the diagnosis has seen what was hidden."
         )
     single = document["kinds"].get("single")
-    text = f"{document['trials']} machines after {document['plant']}, their effects withheld"
+    text = f"{document['trials']} simulated machines like {document['plant']}, effects hidden"
     if single:
         text += (
             f": single effects named exactly in {_share_text(single['exact'])}, the truth among "

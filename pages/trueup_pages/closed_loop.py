@@ -53,7 +53,7 @@ def _envelope(document: Mapping[str, Any]) -> str:
     """Whether runs left the envelope."""
     models = [(r["regime"], m) for r in document["regimes"] for m in r["models"]]
     if any(m["breaches"] is None for _, m in models):
-        return "No envelope is declared, so none could be left."
+        return "No envelope is declared, so breaches are not checked."
     left = [(r, m) for r, m in models if m["breaches"]["runs"]]
     if not left:
         return "No run left the envelope."

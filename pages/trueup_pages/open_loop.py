@@ -12,8 +12,8 @@ from trueup_pages.rendering import render
 BODY = "openloop_body.html"
 PREMISES = {
     "equal_starts": "both rollouts start from the same state",
-    "defect_holds_where_it_goes": "the defect holds wherever the rollout goes",
-    "lipschitz": "errors grow by no more than L and the defect allow",
+    "defect_holds_where_it_goes": "the one-step error stays within ε along the whole rollout",
+    "lipschitz": "errors grow by no more than L and ε allow",
     "state_observed": "the whole state is observed",
     "one_step_length": "all steps have one length",
     "no_memory": "the next state depends on the last one alone",

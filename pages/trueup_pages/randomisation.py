@@ -54,7 +54,7 @@ def _inside(box: Mapping[str, Any], what: str) -> str:
     if box["inside"] is False:
         return f"outside {what.removeprefix('among ')} ({names})"
     known = what if what.startswith("among") else f"inside {what}"
-    return known if box["inside"] else f"where not all of its numbers are known to be {known}"
+    return known if box["inside"] else f"perhaps {known}: not all of its parameters are known"
 
 
 def view(document: Mapping[str, Any]) -> dict[str, Any]:

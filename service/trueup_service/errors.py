@@ -60,8 +60,8 @@ class HeldOutSpent(TrueupError):
 
     code = "held-out-spent"
     hint = (
-        "Record a fresh episode with the role validation: whoever chooses by the same one "
-        "again and again fits to it."
+        "Record a new episode with the role validation: repeated selection on the same one "
+        "overfits to it."
     )
 
 
@@ -71,9 +71,9 @@ class GateFollows(TrueupError):
 
     code = "gate-follows"
     hint = (
-        "Judge by the gate that is in force, or declare this one with its digest in "
+        "Judge by the gate that is in force, or declare yours with the digest of that gate in "
         "`follows` and a reason in `because` "
-        "(the command: --because REASON). Every decision by it will tell what was known."
+        "(the command: --because REASON). Every decision by it will state what was known."
     )
 
 
@@ -242,8 +242,7 @@ class UploadsFull(TrueupError):
 
     code = "uploads-full"
     hint = (
-        "Finish those that are under way; one that nobody goes on with goes after "
-        "TRUEUP_UPLOADS_KEPT_S."
+        "Finish those that are under way; an abandoned one is removed after TRUEUP_UPLOADS_KEPT_S."
     )
 
 
@@ -275,7 +274,7 @@ class WebhookRefused(TrueupError):
 
 
 class Unauthenticated(TrueupError):
-    """Nobody is known by what was sent."""
+    """The request carries no valid token or session."""
 
     code = "unauthenticated"
     hint = (
@@ -295,7 +294,7 @@ class ProviderAway(TrueupError):
     """The OpenID provider does not answer as one."""
 
     code = "provider-away"
-    hint = "Try again, or sign in with a token; whoever runs the service compares TRUEUP_OPENID_…."
+    hint = "Try again, or sign in with a token; the operator should check TRUEUP_OPENID_…."
 
 
 class Forbidden(TrueupError):

@@ -68,9 +68,9 @@ class Settings(BaseSettings):
     connections: int | None = Field(
         None,
         ge=1,
-        description="Connections held at once; unset: what the limit on open files (`ulimit -n`) "
-        "leaves room for, less a quarter and less "
-        "than what database, blobs and checkpoint need.",
+        description="Connections held at once; unset: the limit on open files (`ulimit -n`) less "
+        "those reserved for database, blobs and checkpoint, "
+        "which are at least a quarter.",
     )
     header_limit_s: float = Field(
         20.0, gt=0, description="Time in which a request's head must arrive [s]."
@@ -87,8 +87,8 @@ class Settings(BaseSettings):
         60.0,
         gt=0,
         description=(
-            "How long a body may be on its way, or an answer be left untaken, at less than "
-            "100 bytes a second [s]."
+            "How long a request's body may arrive, or an answer be read, at less than "
+            "100 bytes a second [s]; then the connection is closed."
         ),
     )
     allowed_hosts: str | None = Field(
@@ -168,8 +168,8 @@ class Settings(BaseSettings):
     job_attempts: int = Field(
         5,
         ge=1,
-        description="How often a job is begun whose process or worker dies at it; then it fails. "
-        "A worker that is stopped in order does not count.",
+        description="Attempts at a job whose process or worker dies; after the last the job fails. "
+        "A worker that is stopped in an orderly way does not count.",
     )
     job_memory_limit_bytes: int | None = Field(
         None,
@@ -216,8 +216,8 @@ class Settings(BaseSettings):
     )
     signing_key_before: SecretStr | None = Field(
         None,
-        description="Private key that the signing key takes over from, needed at one start; for a "
-        "key in a file, "
+        description="Previous private key, when signing_key replaces it; needed for one start. For "
+        "a key in a file: "
         "data_dir/signing.key.before.",
     )
     admin_token: SecretStr | None = Field(

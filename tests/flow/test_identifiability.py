@@ -20,5 +20,5 @@ def test_a_case_says_what_it_can_show():
         assert effects[hidden]["shown"] == "not_identifiable"
         assert effects[hidden]["why"]
     text = run("identifiability", EMPS).stdout
-    assert "weakest that shows" in text
+    assert "smallest detectable" in text
     assert "coulomb_friction\tidentifiable\tlevel" in text

@@ -70,7 +70,7 @@ def test_the_broken_one_of_several_recordings_is_named_and_what_is_no_mcap_is_to
         assert "b.mcap" in text
         assert document["facts"]["byte"] > 0
     save(tmp_path, "c.mcap", b"t,q\n" * 100)
-    assert "It is no MCAP file" in wrong("upload", plant, tmp_path / "c.mcap")[0]
+    assert "This is not an MCAP file" in wrong("upload", plant, tmp_path / "c.mcap")[0]
 
 
 def test_digests_may_be_short_and_a_candidate_is_no_decision(

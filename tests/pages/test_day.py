@@ -261,7 +261,7 @@ def test_a_policy_is_declared(seat, plant, client):
     seat.page.get_by_label("on acceptance by the gate").select_option("promote")
     seat.page.get_by_label("people that a promotion takes").fill("2")
     seat.page.get_by_role("button", name="Declare").click()
-    expect(seat.page.get_by_role("alert")).to_contain_text("on_acceptance is ask")
+    expect(seat.page.get_by_role("alert")).to_contain_text("on_acceptance must be `ask`")
     expect(seat.page.get_by_label("people that a promotion takes")).to_have_value("2")
     seat.page.get_by_label("on acceptance by the gate").select_option("ask")
     seat.page.get_by_role("button", name="Declare").click()

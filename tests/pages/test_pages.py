@@ -261,7 +261,7 @@ def test_a_recording_is_looked_through_by_keyboard(seat, pages):
     then = seat.page.locator(".values td").all_inner_texts()
     assert first[0] == then[0] == "q"
     assert first != then
-    # corrected less measured
+    # corrected minus measured
     assert float(then[4]) == pytest.approx(float(then[3]) - float(then[1]), abs=1e-3)
     assert seat.page.locator("#recordings canvas").count() == CURVES
     other = seat.page.get_by_role("combobox", name="recording")

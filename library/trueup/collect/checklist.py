@@ -143,8 +143,8 @@ def _models(diagnosed: bool) -> str:
     )
     return (
         f"The models are {left if diagnosed else guessed}. A stop, an obstacle or a load "
-        "that none of them has is not foreseen: whoever "
-        "plays this keeps a hand on an emergency stop that does not depend on this command."
+        "that is in none of them is not covered: keep a hand on an emergency stop that works "
+        "independently of this command."
     )
 
 

@@ -133,7 +133,7 @@ def _excitation(plant: Plant, episode: Episode, warnings: list[str]) -> dict[str
             )
         elif condition > WEAK:
             warnings.append(
-                f"the numbers {', '.join(names)} are record apart poorly: condition {condition:.0f}"
+                f"the parameters {', '.join(names)} are poorly separated: condition {condition:.0f}"
             )
     return {
         **record,

@@ -15,10 +15,10 @@ def off_step(period_s: float, timestep_s: float) -> str | None:
     if not is_off_step(period_s, timestep_s):
         return None
     return (
-        f"recorded every {_ms(period_s)}, and the plant declares steps of "
-        f"{1e3 * timestep_s:.3g} ms: they were taken as "
-        f"{_ms(step_taken_s(period_s, timestep_s))} long, and a delay or a lag is known no better "
-        "than that; declare the step of the loop that recorded"
+        f"recorded every {_ms(period_s)}, but the plant declares steps of "
+        f"{1e3 * timestep_s:.3g} ms: the steps were taken as "
+        f"{_ms(step_taken_s(period_s, timestep_s))} long, so delays and lags are no more accurate "
+        "than that; declare the time step of the recording loop"
     )
 
 

@@ -169,7 +169,7 @@ def _refitted_row(report: Mapping[str, Any], share: float) -> Row:
     ]
     if len(moved) > len(sizes):
         sizes.append((f"and {len(moved) - len(sizes)} more", ""))
-    sure = "certainly moved" if moved else "together; none alone is certain"
+    sure = "95 % intervals exclude nominal" if moved else "only jointly; none alone is certain"
     return Row("nominal parameters", "nominal model", tuple(sizes), percent(share), sure)
 
 
@@ -198,7 +198,7 @@ def _sure(report: Mapping[str, Any], entry: Mapping[str, Any]) -> str:
     if ratio <= 1.0:
         more = len(nearest["effects"]) > len(report["effects"])
         with_more = ", with more effects" if more else ""
-        return f"likely: another explanation, {named}, errs no more{with_more}"
+        return f"likely: another explanation, {named}, has no larger error{with_more}"
     worse = (nearest.get("worse_ci95") or [None])[0]
     is_certain = worse > 0.0 if worse is not None else ratio >= PLAINLY
     sure = "certain" if is_certain else "likely"
@@ -236,9 +236,9 @@ def left_over(report: Mapping[str, Any]) -> str:
     if most["after"] < SMALL:
         matters = f"{part} of its motion, which hardly matters"
     elif most["after"] < LARGE:
-        matters = f"{part} of its motion: a controller that replans sooner sees less of it"
+        matters = f"{part} of its motion: a controller that replans sooner meets smaller errors"
     else:
-        matters = f"{part} of its motion: do not rely on predictions over so long"
+        matters = f"{part} of its motion: do not rely on predictions over this horizon"
     return (
         f"Over {gap['horizon_s']:g} s the corrected model still errs by {at_worst}{errors} (RMS); "
         f"in {worst} that is {matters}. No known effect explains what is left beyond noise; the "

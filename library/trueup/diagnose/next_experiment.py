@@ -153,8 +153,8 @@ def _checks(plant: Plant, ground: Series, kept: str) -> tuple[str, ...]:
     """What to check before the command is played."""
     return (
         f"Before you play this: it begins at {begins_at(plant, ground.begin[0])}, and keeps "
-        f"the {kept} under the answer and its rival "
-        "alone.",
+        f"the {kept} under the answer and its nearest alternative. No other model was "
+        "checked.",
         (
             "It does not end at rest: be ready to stop the machine. `trueup excite` designs "
             "one that does, safe under every model in play."

@@ -167,8 +167,8 @@ def _incomplete(document: Mapping[str, Any]) -> str:
     if left is None:
         return ""
     return (
-        f". It certainly acts, but its equation is incomplete: over all recordings it leaves "
-        f"{percent(left)} of the squared error that refitting leaves"
+        f". The effect is certain, but its equation is incomplete: over all recordings "
+        f"{percent(left)} of the squared error after refitting remains"
     )
 
 
@@ -185,8 +185,8 @@ def _carried(document: Mapping[str, Any]) -> str:
     if None not in across:
         away = f", {short(math.hypot(*across))} m from the axis of its joint"
     first, *others = payload["links"]
-    text = f". They are those of {mass} kg more on the link of {first}{away}"
-    return f"{text} (on that of {' or '.join(others)} it would look the same)" if others else text
+    text = f". The change is that of {mass} kg more on the link of {first}{away}"
+    return f"{text} (the link of {' or '.join(others)} is equally possible)" if others else text
 
 
 def _moved(document: Mapping[str, Any]) -> str:
@@ -211,8 +211,8 @@ def _nearest_words(document: Mapping[str, Any]) -> str:
     if not nearest or not nearest["effects"] or nearest["leaves"] is None:
         return ""
     return (
-        f". The nearest is {composition(nearest['effects'])}, which leaves "
-        f"{percent(min(nearest['leaves'], 1.0))} of the error that refitting leaves"
+        f". The nearest is {composition(nearest['effects'])}, with which "
+        f"{percent(min(nearest['leaves'], 1.0))} of the error after refitting remains"
     )
 
 
@@ -239,10 +239,10 @@ def _effects(document: Mapping[str, Any]) -> str:
         text = f"{joined.rstrip(',')} {_acts(material)}"
     if slight:
         names = " and ".join(map(name, slight))
-        matter = "matters" if len(slight) == 1 else "matter"
+        close = "closes" if len(slight) == 1 else "close"
         text += (
-            f". {names[0].upper()}{names[1:]} {_acts(slight)}, too, and {matter} less than "
-            f"{100.0 * EVIDENCE.worth_naming:g} %"
+            f". {names[0].upper()}{names[1:]} {_acts(slight)}, too, but {close} less than "
+            f"{100.0 * EVIDENCE.worth_naming:g} % of the gap"
         )
     return text[:1].upper() + text[1:]
 

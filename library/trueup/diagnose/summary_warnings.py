@@ -22,9 +22,7 @@ from trueup.diagnose.tuning_of_answers import EVIDENCE
 def warnings(document: Mapping[str, Any], names: Mapping[str, str] = UNNAMED) -> list[str]:
     """What a reader of the answer should know first, a sentence each: of pushes, the clock, new
     numbers that mislead, noise, the fit. `names` are those of recordings by digest."""
-    push = (
-        "Something outside pushes, as a contact does: {}. Leave it out: a contact is not simulated."
-    )
+    push = "External force, as from a contact: {}. Leave this time out: contacts are not simulated."
     sentences = [
         *faults(document, names),
         *(push.format(when) for when in _pushed(document, names)),
@@ -33,17 +31,17 @@ def warnings(document: Mapping[str, Any], names: Mapping[str, str] = UNNAMED) ->
     if evidence.get("served") == "nominal":
         sentences.append(
             "No correction that was tried predicts the held-out recordings better than the nominal "
-            "model: the model of this diagnosis has its parameters."
+            "model: this diagnosis therefore returns the nominal model."
         )
     if evidence.get("no_force"):
         sentences.append(
-            "Nothing that pushes or holds the joint was tried, as dry friction: the simulator "
-            "takes no force."
+            "Effects that add a force at the joint, such as dry friction, were not tried: the "
+            "simulator takes no force."
         )
     if evidence.get("kept_as_declared"):
         sentences.append(
-            f"Kept as declared: {', '.join(evidence['kept_as_declared'])}. The recordings show "
-            "it only together with other parameters."
+            f"Kept as declared: {', '.join(evidence['kept_as_declared'])}. The recordings "
+            "determine only combinations of these with other parameters."
         )
     if evidence.get("guessed"):
         sentences.append(f"Guessed, and confirmed by nobody: {'; '.join(evidence['guessed'])}.")
@@ -76,29 +74,29 @@ def warnings(document: Mapping[str, Any], names: Mapping[str, str] = UNNAMED) ->
         sentences.append(
             f"Recordings, each fitted alone, differ in {some_of(differ, MOST_NUMBERS)}: "
             f"{'its interval is' if of_one else 'their intervals are'} widened by the variance "
-            "between recordings, for what one more may show."
+            "between recordings, so as to cover one more recording."
         )
     ramps = [name for name, h in evidence.get("holds", {}).items() if _found_to_be_ramp(h)]
     if ramps:
         sentences.append(
-            f"Between its samples {' and '.join(ramps)} is a ramp and no step: so the nominal form "
-            "explains much more. Declare it in plant.json "
+            f"With a first-order hold between samples of {' and '.join(ramps)} the nominal form "
+            "explains much more than with steps. Declare it in plant.json "
             '(`"hold": "first_order"`).'
         )
     coloured = {
         channel: part for channel, part in evidence.get("noise_correlation", {}).items() if part
     }
     if coloured:
-        parts = ", ".join(f"{part:.2g} of it in {channel}" for channel, part in coloured.items())
+        parts = ", ".join(f"{part:.2g} in {channel}" for channel, part in coloured.items())
         sentences.append(
-            f"Noise goes on from one sample to the next ({parts}): weights, noise floor and "
+            f"Noise is correlated from one sample to the next ({parts}): weights, noise floor and "
             "intervals take that into account."
         )
     off = next((c["off"] for c in evidence.get("convergence", [])), None)
     if off is not None and off > EVIDENCE.off_minimum:
         sentences.append(
-            f"The fit of the answer ended {short(off)} half-widths from its minimum: its "
-            "cost is too rough there for a proof."
+            f"The fit of the answer ended {short(off)} interval half-widths from its minimum: the "
+            "cost function is too rough there to prove convergence."
         )
     return sentences
 
@@ -112,7 +110,9 @@ def _pushed(document: Mapping[str, Any], names: Mapping[str, str]) -> list[str]:
     roles = {e["sha256"]: e["role"] for e in document["evidence"]["episodes"]}
     phrases = []
     for push in document["where"].get("pushed", []):
-        joints = " and ".join(f"{j['joint']} by {j['force']:.2g}" for j in push["joints"])
+        joints = " and ".join(
+            f"{j['joint']} by {j['force']:.2g} (force over inertia)" for j in push["joints"]
+        )
         which = f"{roles[push['episode']]} episode {recording_name(push['episode'], names)}"
         phrases.append(f"{which}, {push['from_s']:g} to {push['to_s']:g} s: {joints}")
     return phrases

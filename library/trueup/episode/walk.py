@@ -45,7 +45,7 @@ from trueup.episode.records import RecordReader
 from trueup.errors import MalformedMcap, TooLarge
 
 NO_MCAP = (
-    "It is no MCAP file. Of a recording of another format say the role beside it: "
+    "This is not an MCAP file. For a recording of another format, give its role as well: "
     "docs/recordings.md."
 )
 # Messages outside chunks are handed on together, once they are this many bytes.

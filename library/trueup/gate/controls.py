@@ -57,7 +57,7 @@ def require_can_reject(gate: Gate) -> None:
         return
     if _accepts(judged(gate, _made_up(gate, 1.0))):
         raise VacuousGate(
-            "it accepts a candidate whose errors are the incumbent's: nothing has to be better",
+            "it accepts a candidate with the incumbent's errors: no rule requires an improvement",
             control=COPY,
         )
     idle = [v.rule for v in judged(gate, _made_up(gate, FAR)) if v.passed]

@@ -77,7 +77,7 @@ class UpdatePolicy(Frozen):
             self.approvals > 1 and self.on_acceptance != ASK
         ):
             raise BadPolicy(
-                "a promotion takes 1 to 5 people, and where it takes two, on_acceptance is ask",
+                "approvals must be 1 to 5; from 2 on, on_acceptance must be `ask`",
                 field="approvals",
             )
         if not is_digest(self.gate):

@@ -58,7 +58,7 @@ def _words(hypothesis: Mapping[str, Any]) -> str:
 def _standing(hypothesis: Mapping[str, Any]) -> str:
     if hypothesis.get("answer"):
         return "the answer"
-    return "cannot be remark from it" if hypothesis.get("in_set") else ""
+    return "cannot be told from the answer" if hypothesis.get("in_set") else ""
 
 
 def _map(channel: Mapping[str, Any], layer: str) -> str:

@@ -113,8 +113,8 @@ def chosen_position(
     generations = [o.position.generation for o in older]
     if to_generation not in generations:
         raise NotToRollBackTo(
-            f"generation {to_generation} is none that this one may go back to",
-            hint=f"Those are {', '.join(map(str, generations))}.",
+            f"a rollback to generation {to_generation} is not possible",
+            hint=f"Choose one of {', '.join(map(str, generations))}.",
             generations=generations,
         )
     at = generations.index(to_generation)

@@ -97,4 +97,4 @@ def test_a_recording_off_the_declared_step_is_told():
     one = episode(**WHOLE)
     (warning,) = measured(PLANT, replace(one, t_s=1.07 * one.t_s))["warnings"]
     assert warning.startswith("recorded every")
-    assert "declare the step of the loop that recorded" in warning
+    assert "declare the time step of the recording loop" in warning

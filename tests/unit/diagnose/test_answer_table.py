@@ -55,7 +55,7 @@ def test_what_closes_most_comes_first_and_shares_add_up():
         (
             [],
             [FRICTION, hypothesis(0.9, "backlash", "deadband")],
-            "likely: another explanation, backlash with deadband, errs no more, with more effects",
+            "likely: another explanation, backlash with deadband, has no larger error, with more effects",
         ),
         (
             [],
@@ -115,8 +115,8 @@ def test_the_title_names_the_effects_and_says_where_parameters_do_most():
     ("after", "words"),
     [
         (0.03, "3.0 % of its motion, which hardly matters"),
-        (0.2, "a controller that replans sooner sees less of it"),
-        (0.5, "do not rely on predictions over so long"),
+        (0.2, "a controller that replans sooner meets smaller errors"),
+        (0.5, "do not rely on predictions over this horizon"),
     ],
 )
 def test_what_is_left_is_said_in_units_and_whether_it_matters(after, words):

@@ -118,7 +118,7 @@ def test_the_hold_that_nobody_declared_is_found(log):
     assert (entry["ramps_leave"] < 0.5) == (hold == "first_order")
     assert report["verdict"] in ("no_gap", "parameters_only")
     assert report["parameters"]["c"]["value"] == pytest.approx(4.0, rel=0.05)
-    told = any("is a ramp and no step" in w for w in warnings(report))
+    told = any("first-order hold" in w for w in warnings(report))
     assert told == (hold == "first_order")
 
 

@@ -291,12 +291,12 @@ def test_faults_of_a_kind_are_told_once():
 def test_what_is_served_is_told_where_nothing_is_better_than_the_nominal_model():
     document = recorded(0.005)
     document["evidence"]["served"] = "nominal"
-    assert any("has its parameters" in w for w in warnings(document))
+    assert any("returns the nominal model" in w for w in warnings(document))
 
 
 def test_a_part_that_certainly_acts_says_what_its_law_leaves():
     text = sentence(report([friction()]) | {"incomplete": 0.393})
-    assert "It certainly acts, but its equation is incomplete" in text
+    assert "The effect is certain, but its equation is incomplete" in text
     assert "39 % of the squared error that refitting leaves" in text
     assert "certainly" not in sentence(report([friction()]) | {"incomplete": None})
 
@@ -341,5 +341,5 @@ def test_an_effect_that_hardly_matters_is_not_in_the_headline():
     slight = {**friction(0.01), "effect": "quadratic_drag"}
     text = sentence(report([friction(), slight], numbers=0.2))
     assert text.startswith("Coulomb friction at the joint")
-    assert "Quadratic drag acts, too, and matters less than 5 %" in text
+    assert "Quadratic drag acts, too, but closes less than 5 % of the gap" in text
     assert "Quadratic drag at the joint" in sentence(report([slight], numbers=0.2))

@@ -39,8 +39,8 @@ class ConformalTest(Detector):
     scores: tuple[float, ...]
     name = "conformal_test"
     rests_on = (
-        "proven: healthy blocks are exchangeable with the reference's, in any order alike, "
-        "whatever the dependence within one"
+        "proven if healthy blocks are exchangeable with those of the reference, whatever the "
+        "dependence within a block"
     )
     guarantee = True
     reads_fresh = True
