@@ -256,8 +256,8 @@ def test_an_unknown_effect_says_what_comes_nearest():
         "nearest": {"effects": ["backlash", "constant_force"], "leaves": 0.719}
     }
     assert (
-        "The nearest is backlash with constant force, which leaves 72 % of the "
-        "error that refitting leaves" in sentence(document)
+        "The nearest is backlash with constant force, with which 72 % of the "
+        "error after refitting remains" in sentence(document)
     )
     assert "nearest" not in sentence(report(verdict="unknown_effect", after=0.1))
 
@@ -297,7 +297,7 @@ def test_what_is_served_is_told_where_nothing_is_better_than_the_nominal_model()
 def test_a_part_that_certainly_acts_says_what_its_law_leaves():
     text = sentence(report([friction()]) | {"incomplete": 0.393})
     assert "The effect is certain, but its equation is incomplete" in text
-    assert "39 % of the squared error that refitting leaves" in text
+    assert "39 % of the squared error after refitting remains" in text
     assert "certainly" not in sentence(report([friction()]) | {"incomplete": None})
 
 
