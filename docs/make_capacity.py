@@ -220,9 +220,10 @@ one log takes:
 - **Servers** are added freely: they share nothing but the database and the store. Above 100 %, add
   servers (or `--processes`), each with a network of its own.
 - **Workers** are added freely, too; scale them by `trueup_jobs`.
-- **PostgreSQL** is one machine. Polls ask it whether the answer is old, a read of one row by its
-  key; most of its work are uploads and their looks. It has as many cores as the table says, and a
-  disk whose sync takes a millisecond or less.
+- **PostgreSQL** runs on one machine. A poll reads one row by its key, to check whether the cached
+  answer is still current. Most of the database's work is the uploads and the monitor's evaluation
+  of each. It needs as many cores as the table says, and a disk whose sync takes a millisecond or
+  less.
 - **The log's head is one row**, which every change waits for until the change before it has
   committed: this does not grow with cores, only with a faster disk. Its share is counted against
   the changes that one log took here, three for each recording. When it nears 100 %, split the

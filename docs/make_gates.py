@@ -76,13 +76,17 @@ horizon.
   decisions on other candidates used them since the gate was declared, and how many comparisons
   showed errors on them (`selection`).
 
-Every decision carries in `known` how its candidate and its episodes had been judged when its gate
-was declared, in `uses` how often each episode has been used, this trial included, in `selection`
-and in `figures.beside` the facts listed above. The decision's page, `trueup gate`, `trueup
-replay` and the JSON (`disclosure`) state this in a few sentences. `trueup audit verify` derives it
-from the log again, and reports a decision that differs. In a registry that imported a
-plant from elsewhere it cannot, because the earlier history is not in this log; the page and the
-command still state it.
+Every decision records:
+
+- `known`: how its candidate and its episodes had been judged when its gate was declared;
+- `uses`: how often each episode has been used, including this trial;
+- `selection`: the use of the held-out episodes, as listed above;
+- `figures.beside`: the comparison with rejected and waiting candidates, as listed above.
+
+The decision's page, `trueup gate`, `trueup replay` and the JSON (`disclosure`) state this in a few
+sentences. `trueup audit verify` derives these records from the log again, and reports a decision
+that differs. For a plant that was imported from another registry it cannot do this, because the
+earlier history is not in this log; the page and the command still show the records.
 
 What this does not prevent:
 

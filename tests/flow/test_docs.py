@@ -134,9 +134,9 @@ def test_the_figures_in_the_prose_of_the_tutorial_are_those_of_its_diagnosis(sha
         if e["effect"] == "coulomb_friction"
     )
     for words, value in {
-        "the declared model is off by ": report["gap"]["before"],
-        "the corrected one by ": report["gap"]["after"],
-        "a Coulomb level of about ": level,
+        "It is ": report["gap"]["before"],
+        "for the declared model and ": report["gap"]["after"],
+        "Coulomb friction with a level of about ": level,
     }.items():
         written = re.search(re.escape(words) + r"([\d.]*\d)", prose).group(1)
         decimals = len(written.partition(".")[2])
