@@ -9,7 +9,9 @@ HEAD = """# Who may do what
 
 Every request but those marked *everybody* carries a token (`Authorization: Bearer trueup_…`), or a
 browser's session cookie. A token has one or several roles, and is of one project or of all, a
-robot's of one plant. If a token may not see something, the service answers as if it did not exist. The service refuses every route that is not in the table below, except `/openapi.json`, which everybody may read. The tests check each row against the running service.
+robot's of one plant. If a token may not see something, the service answers as if it did not exist.
+The service refuses every route that is not in the table below, except `/openapi.json`, which
+everybody may read. The tests check each row against the running service.
 
 | role | is for |
 |---|---|
@@ -44,7 +46,10 @@ export TRUEUP_OPENID_CLIENT_ID=trueup TRUEUP_OPENID_CLIENT_SECRET=…
 export TRUEUP_OPENID_GROUPS='{"lab": {"roles": ["engineer"]}, "ops": {"roles": ["operator"]}}'
 ```
 
-A group applies to one project (`"project": "cell-7"`) or to all projects. A session also applies to all projects or to one. In a session of one project a person also holds the roles that they have in all projects. If a person's roles differ between projects, they choose the project when they sign in. The log names people by the claim `TRUEUP_OPENID_NAME_CLAIM`, which nobody may be able to
+A group applies to one project (`"project": "cell-7"`) or to all projects. A session also applies to
+all projects or to one. In a session of one project a person also holds the roles that they have in
+all projects. If a person's roles differ between projects, they choose the project when they sign
+in. The log names people by the claim `TRUEUP_OPENID_NAME_CLAIM`, which nobody may be able to
 set for themselves: an email counts if the provider calls it verified. A token of the same name
 counts as the same person, in approvals by two people as well. A session
 lasts `TRUEUP_SESSION_S`, and a group that somebody leaves counts until then; `trueup token list`

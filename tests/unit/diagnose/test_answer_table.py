@@ -55,7 +55,8 @@ def test_what_closes_most_comes_first_and_shares_add_up():
         (
             [],
             [FRICTION, hypothesis(0.9, "backlash", "deadband")],
-            "likely: another explanation, backlash with deadband, has no larger error, with more effects",
+            "likely: another explanation, backlash with deadband, has no larger error, "
+            "with more effects",
         ),
         (
             [],
