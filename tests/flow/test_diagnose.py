@@ -98,7 +98,7 @@ def test_a_folder_without_a_plant_says_what_a_case_is(tmp_path):
 def test_a_blind_trial_of_a_case_can_be_held_against_its_log(case, tmp_path):
     folder, *_ = case
     out = tmp_path / "trial"
-    assert "effects withheld" in run("blindtrial", folder, "--out", out, "--trials", 2).stdout
+    assert "effects hidden" in run("blindtrial", folder, "--out", out, "--trials", 2).stdout
     assert sorted(p.name for p in out.iterdir()) == [
         "audit.jsonl",
         "cases",

@@ -333,7 +333,7 @@ def test_an_archive_that_nobody_vouches_for_is_not_taken_without_a_word(exported
     )
     assert not (tmp_path / "fresh" / "trueup.sqlite").exists()  # nothing was begun
     taken = run(fresh, "import", archive, "--any-key")
-    assert "nobody has shown" in taken.stderr
+    assert "is not verified" in taken.stderr
     assert key in taken.stderr
 
 
