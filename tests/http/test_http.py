@@ -433,7 +433,7 @@ def test_a_rollback_may_name_an_older_generation_and_no_other_one(client, plant)
     with pytest.raises(Problem) as refused:
         client.roll_back(plant, third.generation, to_generation=third.generation)
     assert (refused.value.status, refused.value.code) == (409, "not-to-roll-back-to")
-    assert refused.value.hint == "Those are 2, 1."
+    assert refused.value.hint == "Choose one of 2, 1."
     back = client.roll_back(plant, third.generation, to_generation=1)
     assert (back.version, back.generation, back.move) == (1, 4, "rolled_back")
     with pytest.raises(Problem) as nothing:
