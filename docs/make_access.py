@@ -49,9 +49,10 @@ export TRUEUP_OPENID_GROUPS='{"lab": {"roles": ["engineer"]}, "ops": {"roles": [
 A group applies to one project (`"project": "cell-7"`) or to all projects. A session also applies to
 all projects or to one. In a session of one project a person also holds the roles that they have in
 all projects. If a person's roles differ between projects, they choose the project when they sign
-in. The log names people by the claim `TRUEUP_OPENID_NAME_CLAIM`, which nobody may be able to
-set for themselves: an email counts if the provider calls it verified. A token of the same name
-counts as the same person, in approvals by two people as well. A session
+in. The log names people by the claim in `TRUEUP_OPENID_NAME_CLAIM`. Choose a claim that people
+cannot
+set for themselves; an email is accepted only if the provider marks it as verified. A token with the
+same name counts as the same person, also in approvals by two people. A session
 lasts `TRUEUP_SESSION_S`, and a group that somebody leaves counts until then; `trueup token list`
 shows the token that stands for the session, and revoking it ends the session at once. Without a
 provider nothing changes, and with one tokens go on: robots and pipelines have no browser.

@@ -220,8 +220,8 @@ one log takes:
 - **Servers** are added freely: they share nothing but the database and the store. Above 100 %, add
   servers (or `--processes`), each with a network of its own.
 - **Workers** are added freely, too; scale them by `trueup_jobs`.
-- **PostgreSQL** runs on one machine. A poll reads one row by its key, to check whether the cached
-  answer is still current. Most of the database's work is the uploads and the monitor's evaluation
+- **PostgreSQL** runs on one machine. A poll reads one row by its key, to check whether the serving
+  version has changed. Most of the database's work is the uploads and the monitor's evaluation
   of each. It needs as many cores as the table says, and a disk whose sync takes a millisecond or
   less.
 - **The log's head is one row**, which every change waits for until the change before it has
@@ -242,8 +242,9 @@ What to run before a fleet of this size is relied on, and what it should show:
 2. Ten times as many, from several machines (one generator holds about 5,000 connections). The
    server's cores, the database's and `pg_stat_statements` should have grown ten times; if the
    database's grew more, look at the index of the slowest statement first.
-3. The log's head: uploads as fast as they go at 64 connections over two servers. The rate is what
-   the table's share is of; it should not fall when a third server is added.
+3. The log's head: uploads as fast as they go at 64 connections over two servers. The
+   share of the log's head in the table above is relative to this rate. The rate should not fall
+   when a third server is added.
 4. Loss: kill a server, a worker and the database's primary in turn during 2. `trueup fsck`
    afterwards must find nothing.
 5. `trueup fsck --drill` with a month of recordings: how long a restore takes.

@@ -8,8 +8,9 @@ from trueup.gate.rule import rules
 
 HEAD = """# Gates
 
-A gate declares the criteria for a candidate before it judges anything. Its digest fixes it; the
-decision holds every figure, so that anybody can [recompute](audit.md) it.
+A gate declares the criteria for a candidate before any candidate is scored. It is identified by
+its digest and cannot be changed. A decision contains every figure, so that anybody can
+[recompute](audit.md) the decision.
 
 ```json
 {
@@ -51,9 +52,9 @@ horizon.
 
 - *Declare a gate that nothing can fail.* Refused (`vacuous-gate`): an equal candidate must be
   rejected, and one ten times as wrong must fail every rule. Before each trial the incumbent itself,
-  a copy of it and the incumbent with added noise are judged and recorded in the decision. With
-  `"vacuous": true` and a reason in `because` (`--vacuous --because REASON`) it is taken; a decision
-  by it says that a control was accepted.
+  a copy of it and the incumbent with added noise are judged and recorded in the decision. A
+  gate with `"vacuous": true` and a reason in `because` (`--vacuous --because REASON`) is accepted
+  in spite of this. Its decisions then state that the gate accepted one of these controls.
 - *Declare another gate once a candidate was judged, or while one is.* Refused (`gate-follows`),
   unless it names the gate in force in `follows` and says why in `because` (`--because REASON`).
   The service determines where it is looser than any earlier gate, and reports this.
