@@ -25,8 +25,8 @@ SCHEMA = "trueup.identifiability/1"
 def identifiability(case: Path, *, as_json_: Json = False) -> None:
     """Show which parameters and which effects the recordings of a case can show.
 
-    Each is identifiable, weak, or not identifiable, beside everything else that is free. Of an
-    effect the weakest that would show is given.
+    Each is identifiable, weak, or not identifiable, while everything else is fitted, too. For an
+    effect the table gives the smallest size that these recordings would detect.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def _show(plant: str, shown: Identifiability) -> None:
     say("")
     table(
         f"{plant}: effects",
-        ["effect", "shown", "weakest that shows", "tied to", "why not"],
+        ["effect", "shown", "smallest detectable", "tied to", "why not"],
         [_effect(e) for e in shown.effects],
     )
 

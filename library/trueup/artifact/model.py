@@ -6,7 +6,7 @@
     predicted = model.predict(t_s, commands, observed, horizon_s=2.0)  # of a recording, window by
                                                                        window
 
-A rollout of one joint needs numpy alone; that of a robot, and predicting a recording, compile their
+A rollout of one joint is plain numpy; that of a robot, and predicting a recording, compile their
 kernel at the first call.
 """
 

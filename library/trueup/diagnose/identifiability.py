@@ -71,9 +71,11 @@ class ParameterShown:
 
 @dataclass(frozen=True, slots=True)
 class EffectShown:
-    """How well an effect would be shown: the weakest that would be told from none, by its first
-    number, None where not even a strong one would; of an effect that limits, such as a saturation,
-    the highest limit."""
+    """How well an effect would be shown.
+
+    ``weakest`` is the smallest size, by the first parameter of the effect, that the recordings
+    tell from none; None where they would not show even a strong one. For an effect that limits,
+    such as a saturation, it is the highest limit that shows."""
 
     effect: str
     joint: str | None
