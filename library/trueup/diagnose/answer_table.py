@@ -15,6 +15,7 @@ from trueup.diagnose.summary_text import (
     SAME_NUMBERS,
     UNEXPLAINED,
     composition,
+    estimated,
     is_above_floor,
     label_of,
     material_effects,
@@ -130,8 +131,7 @@ def _effect_row(
         name({"effect": entry["effect"]}),
         where,
         tuple(
-            (label_of(parameter, number), _size(number))
-            for parameter, number in entry["estimate"].items()
+            (label_of(parameter, number), _size(number)) for parameter, number in estimated(entry)
         ),
         percent(share) if share else "–",
         _sure(report, entry),
@@ -257,7 +257,7 @@ def equations(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:
         if entry.get("equation"):
             numbers = [
                 f"{parameter.replace('_', ' ')} = {_size(number)}"
-                for parameter, number in entry["estimate"].items()
+                for parameter, number in estimated(entry)
             ]
             lines.append((name(entry), symbols(entry["equation"]), ", ".join(numbers)))
     return lines

@@ -258,7 +258,8 @@ def diagnosed(report: Mapping[str, Any]) -> dict[str, Json]:
         "verdict": report["verdict"],
         "sentence": sentence(report),
         "effects": [
-            {k: e[k] for k in ("effect", "joint", "estimate") if k in e} for e in report["effects"]
+            {k: e[k] for k in ("effect", "joint", "parameters", "estimate") if k in e}
+            for e in report["effects"]
         ],
         "closed": report["gap"]["closed"],
     }

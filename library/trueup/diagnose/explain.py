@@ -162,6 +162,7 @@ def _entry(
     return {
         **entry,
         "equation": equation_in(effect.__doc__),
+        "parameters": list(values),
         "estimate": values,
         "share": share,
     }

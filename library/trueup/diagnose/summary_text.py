@@ -329,11 +329,21 @@ def _shares(document: Mapping[str, Any]) -> dict[str, float]:
 
 def _with_estimate(entry: Mapping[str, Any]) -> str:
     words = name(entry) if "joint" in entry else f"{name(entry)} at the {entry['channel']}"
-    estimate = next(iter(entry["estimate"].items()), None)
-    if estimate is None:
+    if not entry["estimate"]:
         return words
-    value = with_interval(estimate[1]["value"], estimate[1]["ci95"])
-    return f"{words}, {label_of(*estimate)} {value} {unit(estimate[1]['unit'])}".rstrip() + ","
+    parameter, number = estimated(entry)[0]
+    value = with_interval(number["value"], number["ci95"])
+    return f"{words}, {label_of(parameter, number)} {value} {unit(number['unit'])}".rstrip() + ","
+
+
+def estimated(entry: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    """Parameters of an effect with their estimates, in the order in which the effect declares them.
+
+    Stored JSON is sorted by key, so the entry lists the order; an older report's is that of its
+    keys.
+    """
+    estimate = entry["estimate"]
+    return [(parameter, estimate[parameter]) for parameter in entry.get("parameters", estimate)]
 
 
 def label_of(parameter: str, number: Mapping[str, Any]) -> str:

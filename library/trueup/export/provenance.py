@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from trueup.canonical import Json
-from trueup.diagnose.summary_text import composition, sentence
+from trueup.diagnose.summary_text import composition, estimated, sentence
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class Provenance:
             at = f" at {entry['joint']}" if "joint" in entry else ""
             intervals |= {
                 f"{entry['effect']}{at}, {name}": (number["value"], *number["ci95"], number["unit"])
-                for name, number in entry["estimate"].items()
+                for name, number in estimated(entry)
             }
         alternatives = tuple(composition(other) for other in report["indistinguishable"])
         return Provenance(sentence(report), intervals, alternatives)

@@ -16,7 +16,7 @@ from trueup.artifact.model import Model, save
 from trueup.canonical import Json
 from trueup.diagnose import diagnosis as engine
 from trueup.diagnose.figures import figures
-from trueup.diagnose.summary_text import composition, sentence
+from trueup.diagnose.summary_text import composition, estimated, sentence
 from trueup.diagnose.summary_warnings import warnings
 from trueup.notebook.case import Case
 from trueup.notebook.conversion import convert
@@ -104,7 +104,7 @@ class Diagnosis:
                 entry["effect"],
                 entry.get("joint"),
                 entry["port"],
-                {name: _estimate(number) for name, number in entry["estimate"].items()},
+                {name: _estimate(number) for name, number in estimated(entry)},
                 entry["share"],
             )
             for entry in _list(self.report["effects"])

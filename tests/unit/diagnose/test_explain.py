@@ -138,3 +138,4 @@ def test_a_coarse_quantizer_is_named_with_its_step_and_a_fine_one_is_not(joint):
     quality = SimpleNamespace(held=np.zeros(1), lattices=lambda _: (lattice, coarse))
     ((entry),) = counted(quality, joint, 1000)
     assert [(v["value"], v["unit"]) for v in entry["estimate"].values()] == [(0.02, "rad")]
+    assert entry["parameters"] == list(entry["estimate"])

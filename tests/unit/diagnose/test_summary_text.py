@@ -1,7 +1,10 @@
 """A report in words: the sentence, the shares, the digits of an uncertainty."""
 
+import json
+
 import pytest
 
+from trueup.canonical import canonical_bytes
 from trueup.collect.step_warning import off_step
 from trueup.diagnose.number_text import plus_minus, short
 from trueup.diagnose.summary_text import composition, sentence, waterfall
@@ -60,6 +63,23 @@ def test_an_effect_is_told_with_its_level_its_part_and_the_errors():
         "Coulomb friction at the joint, level 0.210 ± 0.020 m/s², closes 91 % of the gap, refitted "
         "parameters 9.3 %. The held-out error falls from 0.21 to 0.013; noise alone makes 0.012."
     )
+
+
+def test_an_effect_is_told_with_the_parameter_that_it_declares_first_however_json_is_sorted():
+    hysteresis = friction() | {
+        "effect": "hysteresis",
+        "parameters": ["level", "distance"],
+        "estimate": {
+            "level": {"value": 0.221, "unit": "N*m", "ci95": [0.2, 0.242]},
+            "distance": {"value": 0.5, "unit": "rad", "ci95": [0.4, 0.6]},
+        },
+    }
+    stored = json.loads(canonical_bytes(hysteresis))
+    assert list(stored["estimate"]) == ["distance", "level"]
+    assert "level 0.221 ± 0.021" in sentence(report([hysteresis]))
+    assert sentence(report([stored])) == sentence(report([hysteresis]))
+    before = {k: v for k, v in stored.items() if k != "parameters"}
+    assert "distance 0.50 ± 0.10" in sentence(report([before]))
 
 
 def test_new_numbers_come_first_where_they_explain_most():
