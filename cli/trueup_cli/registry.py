@@ -9,6 +9,7 @@ from cyclopts import Parameter
 
 from trueup.errors import BadGate
 from trueup.gate.line import budget_of
+from trueup.gate.verdict_text import can_be_settled, reasons, unsettled_words
 from trueup_cli.digests import resolve_digest
 from trueup_cli.options import (
     DEFAULT_URL,
@@ -318,6 +319,7 @@ def show_decision(decision: Decision, gate: GateInLine) -> None:
             for v in decision["document"]["verdicts"]
         ],
     )
+    show_reasons(decision)
     uses = decision["document"].get("uses")
     if uses:
         say(
@@ -331,6 +333,24 @@ def show_decision(decision: Decision, gate: GateInLine) -> None:
         say("Its reason: “{}”.", gate["document"]["because"])
     for less in gate["looser_than"]:
         say("It is looser than gate {}: {}.", less["gate"][:12], "; ".join(less["looser"]))
+
+
+def show_reasons(decision: Decision) -> None:
+    """Prints why a candidate was rejected and what can be done, or which rules it passed by less
+    than their interval."""
+    verdicts = decision["document"]["verdicts"]
+    for verdict in verdicts:
+        remark = unsettled_words(verdict)
+        if verdict["passed"] and remark:
+            say("{} passed, but {}.", verdict["rule"], remark)
+    for rule, reason in reasons(verdicts):
+        say("{} refuses: {}.", rule, reason)
+    if can_be_settled(verdicts):
+        say(
+            "next: trueup upload {} FILES --role validation, then judge again: all held-out "
+            "episodes count",
+            decision["plant"],
+        )
 
 
 def _span(uses: list[int]) -> str:

@@ -13,6 +13,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from trueup.diagnose import number_text, summary_text
+from trueup.gate import verdict_text
 from trueup_pages import copy_as, drawing
 from trueup_pages.assets import text_of, url_of
 from trueup_pages.timeline import page_of, timeline, zooms
@@ -43,6 +44,7 @@ def _environment() -> Environment:
         inlined=lambda name: Markup(text_of(name)),
         drawing=drawing,
         words=summary_text,
+        verdict_text=verdict_text,
         timeline=timeline,
         zooms=zooms,
         page_of=page_of,

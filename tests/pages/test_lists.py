@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import expect
 
 from tests.conftest import EXAMPLE
-from tests.support.browser import Seat
+from tests.support.browser import A_MINUTE, Seat
 from tests.support.case import write_friction_case
 from tests.support.service import ADMIN, command
 from trueup_client import Client
@@ -124,6 +124,46 @@ def test_decisions_are_listed_by_verdict(seat, judged):
     seat.page.locator("tbody a").first.click()
     labelled(seat, "the first good one", "kept")
     expect(seat.page.get_by_text("the first good one")).to_be_visible()
+
+
+def test_a_rejected_candidate_says_why_and_is_judged_again_with_what_is_uploaded(
+    seat, judged, running, tmp_path
+):
+    first = next(judged.decisions(PLANT))
+    figure = first["document"]["verdicts"][0]
+    rules = tmp_path / "gate.json"
+    rules.write_text(
+        json.dumps(
+            {
+                "schema": "trueup.gate/1",
+                "rules": [{"rule": figure["rule"], "ratio": 0.9999 * figure["ratio"]}],
+                "scoring": {"horizon_s": 1.0, "windows": "every"},
+            }
+        )
+    )
+    printed = command(
+        running,
+        *("gate", PLANT, first["candidate"], "--rules", str(rules)),
+        *("--because", "a bound at the figure itself"),
+        check=False,
+    ).stdout
+    assert f"{figure['rule']} refuses: the error is" in printed
+    assert f"next: trueup upload {PLANT} FILES --role validation" in printed
+    rejected = next(judged.decisions(PLANT))
+    assert not rejected["accepted"]
+    seat.go(f"{HOME}/decisions/{rejected['digest']}")
+    why = seat.page.get_by_role("region", name="Why it was rejected")
+    expect(why).to_contain_text("these recordings do not settle it")
+    expect(why.get_by_role("button", name="Judge again")).to_have_count(0)
+    why.get_by_role("link", name="Upload recordings…").click()
+    seat.page.wait_for_url(f"**{HOME}/upload")
+    write_friction_case(tmp_path, seed=12)
+    command(running, "upload", PLANT, str(next(tmp_path.glob("*-validation.mcap"))))
+    seat.go(f"{HOME}/decisions/{rejected['digest']}")
+    why.get_by_role("button", name="Judge again").click()
+    expect(seat.page.locator("h1")).to_contain_text("against version", timeout=A_MINUTE)
+    episodes = next(judged.decisions(PLANT))["document"]["episodes"]
+    assert len(episodes) == len(rejected["document"]["episodes"]) + 1
 
 
 def test_plants_are_found_by_name_and_tag_and_a_hostile_one_stays_text(seat, judged):

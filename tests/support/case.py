@@ -46,11 +46,12 @@ def write_case(folder: Path, plant: Plant, episodes: Iterable[Episode]) -> list[
     return write_recordings(folder, episodes)
 
 
-def write_friction_case(folder: Path) -> Plant:
-    """Writes the case of a joint with Coulomb friction, which is diagnosed in about a second.
+def write_friction_case(folder: Path, seed: int = 11) -> Plant:
+    """Writes the case of a joint with Coulomb friction, which is diagnosed in about a second; each
+    seed makes other recordings.
 
     Returns its plant.
     """
-    plant, episodes, _ = recorded_twice("A1", ["coulomb_friction"], 11)
+    plant, episodes, _ = recorded_twice("A1", ["coulomb_friction"], seed)
     write_case(folder, plant, episodes)
     return plant

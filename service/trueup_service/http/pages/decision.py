@@ -10,6 +10,7 @@ from fastapi import Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from trueup.canonical import digest_of
+from trueup.episode.role import HELD_OUT
 from trueup.errors import TrueupError
 from trueup.gate.line import alike, budget_of, disclosure_of, selected
 from trueup.ledger.audit import entry_bytes
@@ -82,6 +83,7 @@ def _page(
             "size": tree.size,
             "root": tree.root().hex(),
             "serving": find.serving(tx, plant),
+            "has_newer": _has_newer(tx, made),
             "gate_in_force": tx.gates.in_order(plant)[-1].digest,
             "needed": _approvals_needed(tx, plant),
             "key": uuid.uuid4().hex,
@@ -90,6 +92,12 @@ def _page(
             "waiting": anew is not None and anew.state not in FINAL,
         }
     return show(request, "decision.html", **values)
+
+
+def _has_newer(tx: ReadTransaction, made: DecisionRecord) -> bool:
+    """Whether held-out episodes were ingested after a decision."""
+    newest = (tx.episodes.newest_of_role(made.plant, role) for role in HELD_OUT)
+    return any(at is not None and at > made.created_at for at in newest)
 
 
 def _approvals_needed(tx: ReadTransaction, plant: str) -> int:
