@@ -28,7 +28,7 @@ from scipy.special import chdtrc, fdtrc, stdtrit
 
 from trueup.canonical import Json
 from trueup.cores import in_parallel
-from trueup.diagnose.explain import described_by_family, in_units, unit
+from trueup.diagnose.explain import described, in_units, unit
 from trueup.diagnose.intervals import (
     NOTHING,
     TAIL,
@@ -42,6 +42,7 @@ from trueup.diagnose.tuning import SELECTION
 from trueup.diagnose.tuning_of_answers import EVIDENCE
 from trueup.diagnose.windowed_fits import WindowedFits
 from trueup.episode.episode import Episode
+from trueup.fit.base_parameters import COMBINATION
 from trueup.fit.rollout_fit import TWO_SIDED, RolloutFit
 from trueup.model.block import joint, kind
 from trueup.model.plant import Plant
@@ -261,7 +262,7 @@ class Agreement:
 
 def named(plant: Plant, term: str, parameter: str) -> tuple[dict[str, Json], float]:
     """What a number is called, and how many of its declared units one of the fit's own is. A
-    robot's or a simulator's numbers have the units of their own model, which nobody declared."""
+    combination of a robot's inertial numbers has no unit, nor has a simulator's number."""
     if term:
         number = next(n for n in kind(term).params if n.name == parameter)
         at = joint(term)
@@ -273,8 +274,10 @@ def named(plant: Plant, term: str, parameter: str) -> tuple[dict[str, Json], flo
             "label": number.label,
             "unit": unit(number.scale, plant, at),
         }, in_units(number.scale, plant, at)
-    described = described_by_family(plant).get(parameter, {"label": parameter, "unit": ""})
-    return {"effect": None, "parameter": parameter, **described}, 1.0
+    is_sum = parameter.startswith(COMBINATION)
+    label = f"{parameter} of inertial parameters and gains" if is_sum else parameter
+    called = described(plant).get(parameter, {"label": label, "unit": ""})
+    return {"effect": None, "parameter": parameter, **called}, 1.0
 
 
 def agreement(episodes: Sequence[Episode], fits: WindowedFits, fit: RolloutFit) -> Agreement:

@@ -27,10 +27,18 @@ from trueup.model.effect import Effect, Number, Scale, effects, equation_in
 from trueup.model.family import families
 from trueup.model.plant import Plant
 from trueup.model.simulator.dynamics import SimulatedDynamics
-from trueup.model.tree import SLIDE
+from trueup.model.tree import AT_JOINT, INERTIAL, SLIDE
 
 Array = NDArray[np.float64]
 FORCES = (Scale.ACCELERATION, Scale.DRAG, Scale.CUBIC, Scale.STIFFNESS, Scale.DAMPING)
+
+# what is not said by its name
+CALLED = {
+    **{f"h{axis}": f"first moment along {axis}" for axis in "xyz"},
+    **{f"I{axis}{axis}": f"inertia about {axis}" for axis in "xyz"},
+    **{f"I{axes}": f"product of inertia {axes}" for axes in ("xy", "xz", "yz")},
+    "servo": "servo stiffness",
+}
 
 
 def unit(scale: Scale, plant: Plant, joint: int = 0) -> str:
@@ -172,20 +180,54 @@ def _inside(span: tuple[float, float], number: Number, scale: float) -> tuple[fl
     return max(span[0], number.low * scale), min(span[1], number.high * scale)
 
 
-def described_by_family(plant: Plant) -> dict[str, dict[str, Json]]:
-    """The unit of each parameter of a family, in the declared units, and what it is called; empty
-    for other models."""
+def described(plant: Plant) -> dict[str, dict[str, Json]]:
+    """The unit of each parameter of the nominal form, and what it is called; empty for a simulator
+    of the user's own, whose units nobody declared."""
+    return _described(plant.dynamics, plant)
+
+
+@singledispatch
+def _described(_: Dynamics, plant: Plant) -> dict[str, dict[str, Json]]:
     if plant.family not in families():
         return {}
     acceleration, command = unit(Scale.ACCELERATION, plant), unit(Scale.COMMAND, plant)
     measures = {
-        "acceleration / command": acceleration if command == "1" else f"{acceleration}/{command}",
+        "acceleration / command": _per(acceleration, command),
         "acceleration": acceleration,
     }
     return {
         p.name: {"unit": measures.get(p.unit, p.unit), "label": p.called or p.name}
         for p in families()[plant.family].params
     }
+
+
+@_described.register(CompiledTree)
+def _of_links_and_joints(dynamics: CompiledTree, plant: Plant) -> dict[str, dict[str, Json]]:
+    """A tree's numbers are in SI units; a gain is in those per unit of the command."""
+    table: dict[str, dict[str, Json]] = {}
+    for at, name in enumerate(dynamics.tree.joints):
+        slides = bool(dynamics.tree.constants[at, SLIDE])
+        force, q, inertia = ("N", "m", "kg") if slides else ("N·m", "rad", "kg·m^2")
+        units = ("kg", *("kg·m",) * 3, *("kg·m^2",) * 6)
+        at_joint = (
+            inertia,
+            f"{force} s/{q}",
+            _per(force, unit(Scale.COMMAND, plant, at)),
+            *(f"{force}/{q}",) * 2,
+            force,
+        )
+        for number, measure in zip((*INERTIAL, *AT_JOINT), (*units, *at_joint), strict=True):
+            parameter = f"{number}({name})"
+            label = CALLED.get(number, parameter)
+            table[parameter] = {"unit": measure, "label": label}
+    return table
+
+
+def _per(measure: str, command: str) -> str:
+    """A unit for each unit of a command; 1 where both are the same."""
+    if measure == command:
+        return "1"
+    return measure if command == "1" else f"{measure}/{command}"
 
 
 def parameter_table(plant: Plant, directions: Directions, minima: Minima) -> dict[str, Json]:
@@ -195,13 +237,13 @@ def parameter_table(plant: Plant, directions: Directions, minima: Minima) -> dic
     fitted = directions.determined.copy()
     dissipates = (directions.alone >= 0) & (directions.low == 0.0)
     fitted[directions.alone[dissipates]] = True
-    described = described_by_family(plant)
+    called = described(plant)
     return {
         name: {
             "nominal": nominal,
             "value": float(value),
             "ci95": [float(low), float(high)],
-            **described.get(name, {}),
+            **called.get(name, {}),
         }
         for (name, nominal), value, (low, high), determined in zip(
             plant.nominal.items(), minima.best.values, limits, fitted, strict=False

@@ -199,7 +199,8 @@ def _moved(document: Mapping[str, Any]) -> str:
     ]
     words = [
         f"{name} {short(p['nominal'])} to "
-        f"{plus_minus(p['value'], (p['ci95'][1] - p['ci95'][0]) / 2.0)}"
+        f"{plus_minus(p['value'], (p['ci95'][1] - p['ci95'][0]) / 2.0)} "
+        f"{unit(p.get('unit', ''))}".rstrip()
         for _, name, p in sorted(certain, key=lambda c: -c[0])[:MOST_NUMBERS]
     ]
     return f": {', '.join(words)}" if words else ""
@@ -372,7 +373,8 @@ def number_name(entry: Mapping[str, Any]) -> str:
     label = str(entry["label"]).replace("_", " ")
     if entry["effect"] is not None:
         return f"{name({k: entry[k] for k in ('effect', 'joint') if k in entry})} ({label})"
-    return label if entry["label"] == entry["parameter"] else f"{label} {entry['parameter']}"
+    has_symbol = f"{label} ".startswith(f"{entry['parameter']} ")
+    return label if has_symbol else f"{label} {entry['parameter']}"
 
 
 def some_of(names: Sequence[str], most: int) -> str:

@@ -51,6 +51,7 @@ FELT_ON_MACHINE = 5e-2  # the same where no law is much more exact than that
 SHOWN_BESIDE = 1e-4  # of what a simulator's number does: less is what those before it do
 POSES = 50  # of an episode are looked at
 LIGHTEST = 0.9  # of what a joint's links weigh may be missing from its inertia
+COMBINATION = "combination"  # what is shown of several numbers together, with its number
 ALONE = 0.999  # of a number lies in the combinations that are shown: it is determined by itself
 
 
@@ -117,7 +118,7 @@ def _of_tree(dynamics: CompiledTree, plant: Plant, episodes: Sequence[Episode]) 
         ),
         felt,
     )
-    names = [f"combination {i + 1}" for i in range(len(combined))] + [
+    names = [f"{COMBINATION} {i + 1}" for i in range(len(combined))] + [
         plant.dynamics.parameter_names[i] for i in alone
     ]
     return Directions(

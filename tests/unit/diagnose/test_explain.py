@@ -8,7 +8,7 @@ import pytest
 from tests.support.robots import arm_plant
 from tests.support.simulated import recorded_twice as recorded
 from trueup.diagnose.bounds import Bound, _bound
-from trueup.diagnose.explain import counted, in_units, unit
+from trueup.diagnose.explain import counted, described, in_units, unit
 from trueup.fit.screening import Screening
 from trueup.model.effect import Scale, effects
 
@@ -76,6 +76,16 @@ def test_a_robots_forces_are_what_its_actuators_give(arm, scale, expected):
 def test_a_robots_forces_are_in_units_of_each_joints_inertia(arm):
     assert [in_units(Scale.DAMPING, arm, j) for j in range(len(arm.joints))] == list(arm.form.sizes)
     assert in_units(Scale.POSITION, arm, 0) == 1.0
+
+
+def test_every_number_of_a_robot_has_a_unit_and_a_name(arm):
+    table = described(arm)
+    assert set(table) == set(arm.dynamics.parameter_names)
+    first, second = arm.joints[:2]
+    assert table[f"hx({first})"] == {"unit": "kg·m", "label": "first moment along x"}
+    assert table[f"damping({second})"]["unit"] == "N·m s/rad"
+    assert table[f"gain({first})"]["unit"] == "1"  # N·m commanded, N·m at the joint
+    assert all(row["unit"] and row["label"] for row in table.values())
 
 
 def test_what_the_data_leave_of_an_effect_is_the_expected_part_and_three_errors():
