@@ -63,6 +63,10 @@ horizon.
   of the accepted decision came in after its gate was declared and after the rejection, with samples
   of its own; or somebody else has approved it with a reason (`trueup approve PLANT DECISION
   --because REASON`). A policy with `"on_rejected": "forbid"` takes fresh episodes alone.
+  A rejection says whether more recordings could settle it: where the 95 % interval of the ratio of
+  errors includes the bound, chance in the choice of recordings may have decided. Upload held-out
+  recordings and judge on these alone: `trueup gate PLANT CANDIDATE --episode DIGEST`, or the button
+  on the page of the decision.
 - *Pack the same model anew, or nudge its numbers.* The newest twenty candidates of the plant that
   were rejected, or still wait, are scored beside each new one, on its episodes and over its
   horizon. One whose errors differ by less than 1 % in every episode is the same model: the decision

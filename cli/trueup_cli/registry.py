@@ -103,6 +103,14 @@ def gate(
         bool,
         Parameter(negative=(), help="Declare the gate although it cannot reject; needs --because"),
     ] = False,
+    episode: Annotated[
+        tuple[str, ...],
+        Parameter(
+            negative=(),
+            help="Held-out episode to judge on, by its digest or the first digits; give it again "
+            "for more; default: all",
+        ),
+    ] = (),
     scales: Annotated[
         bool,
         Parameter(
@@ -134,6 +142,7 @@ def gate(
         "kind": "gate",
         "candidate": resolve_artifact(client, plant, candidate),
         "gate": declared["digest"],
+        **({"episodes": [resolve_episode(client, plant, e) for e in episode]} if episode else {}),
         **({"scales": True} if scales else {}),
     }
     result = result_of(run_job(client, plant, request, "judge"))
@@ -346,11 +355,10 @@ def show_reasons(decision: Decision) -> None:
     for rule, reason in reasons(verdicts):
         say("{} refuses: {}.", rule, reason)
     if can_be_settled(verdicts):
-        say(
-            "next: trueup upload {} FILES --role validation, then judge again: all held-out "
-            "episodes count",
-            decision["plant"],
-        )
+        plant, candidate = decision["plant"], decision["candidate"][:12]
+        say("More held-out recordings could settle it; what was rejected is judged on new ones.")
+        say("next: trueup upload {} FILES --role validation", plant)
+        say("then: trueup gate {} {} --episode DIGEST --episode …", plant, candidate)
 
 
 def _span(uses: list[int]) -> str:

@@ -149,21 +149,24 @@ def test_a_rejected_candidate_says_why_and_is_judged_again_with_what_is_uploaded
     ).stdout
     assert f"{figure['rule']} refuses: the error is" in printed
     assert f"next: trueup upload {PLANT} FILES --role validation" in printed
+    assert f"then: trueup gate {PLANT} {first['candidate'][:12]} --episode" in printed
     rejected = next(judged.decisions(PLANT))
     assert not rejected["accepted"]
     seat.go(f"{HOME}/decisions/{rejected['digest']}")
     why = seat.page.get_by_role("region", name="Why it was rejected")
     expect(why).to_contain_text("these recordings do not settle it")
-    expect(why.get_by_role("button", name="Judge again")).to_have_count(0)
+    expect(why.get_by_role("button", name="Judge on what is new")).to_have_count(0)
     why.get_by_role("link", name="Upload recordings…").click()
     seat.page.wait_for_url(f"**{HOME}/upload")
     write_friction_case(tmp_path, seed=12)
     command(running, "upload", PLANT, str(next(tmp_path.glob("*-validation.mcap"))))
     seat.go(f"{HOME}/decisions/{rejected['digest']}")
-    why.get_by_role("button", name="Judge again").click()
+    expect(why).to_contain_text("1 held-out recording was uploaded since: judge on it alone.")
+    why.get_by_role("button", name="Judge on what is new").click()
     expect(seat.page.locator("h1")).to_contain_text("against version", timeout=A_MINUTE)
     episodes = next(judged.decisions(PLANT))["document"]["episodes"]
-    assert len(episodes) == len(rejected["document"]["episodes"]) + 1
+    assert len(episodes) == 1
+    assert episodes[0] not in rejected["document"]["episodes"]
 
 
 def test_plants_are_found_by_name_and_tag_and_a_hostile_one_stays_text(seat, judged):

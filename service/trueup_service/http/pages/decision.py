@@ -83,7 +83,7 @@ def _page(
             "size": tree.size,
             "root": tree.root().hex(),
             "serving": find.serving(tx, plant),
-            "has_newer": _has_newer(tx, made),
+            **_fresh(tx, made),
             "gate_in_force": tx.gates.in_order(plant)[-1].digest,
             "needed": _approvals_needed(tx, plant),
             "key": uuid.uuid4().hex,
@@ -94,10 +94,12 @@ def _page(
     return show(request, "decision.html", **values)
 
 
-def _has_newer(tx: ReadTransaction, made: DecisionRecord) -> bool:
-    """Whether held-out episodes were ingested after a decision."""
-    newest = (tx.episodes.newest_of_role(made.plant, role) for role in HELD_OUT)
-    return any(at is not None and at > made.created_at for at in newest)
+def _fresh(tx: ReadTransaction, made: DecisionRecord) -> dict[str, Any]:
+    """The held-out episodes that came in after a decision, and how the command names them."""
+    later = tx.episodes.of_roles(made.plant, HELD_OUT, ingested_after=made.created_at)
+    fresh = [e.digest for e in later if e.digest not in made.document["episodes"]]  # type: ignore[operator]
+    named = [part for digest in fresh for part in ("--episode", digest[:12])]
+    return {"fresh": fresh, "again": named}
 
 
 def _approvals_needed(tx: ReadTransaction, plant: str) -> int:
