@@ -70,7 +70,7 @@ def title(report: Mapping[str, Any]) -> str:
     """The answer in a few words."""
     match report["verdict"]:
         case "effect":
-            material, _ = material_effects(report["effects"])
+            material, _ = material_effects(report)
             text = " and ".join(map(name, material))
             if shares(report).get(NEW_NUMBERS, 0.0) > EVIDENCE.most_of_it:
                 is_or_are = "is" if len(material) == 1 else "are"
@@ -91,7 +91,7 @@ def rows(report: Mapping[str, Any]) -> list[Row]:
     """What closes the gap: effects, refitted parameters, integration and start, what closes most
     first; then what hardly matters, and what is left."""
     parts = shares(report)
-    material, slight = material_effects(report["effects"])
+    material, slight = material_effects(report)
     table = [
         (parts.get(name(e), 0.0), _effect_row(report, e, parts, is_slight=False)) for e in material
     ]
@@ -198,7 +198,7 @@ def _sure(report: Mapping[str, Any], entry: Mapping[str, Any]) -> str:
     if ratio <= 1.0:
         more = len(nearest["effects"]) > len(report["effects"])
         with_more = ", with more effects" if more else ""
-        return f"likely: another explanation, {named}, has no larger error{with_more}"
+        return f"likely: {named} fits as well{with_more}"
     worse = (nearest.get("worse_ci95") or [None])[0]
     is_certain = worse > 0.0 if worse is not None else ratio >= PLAINLY
     sure = "certain" if is_certain else "likely"

@@ -56,6 +56,7 @@ class ChannelGap:
 class Gap:
     """Held-out errors: `before` of the nominal model; `same_numbers` of the same with the answer's
     integration and a filtered start; `parameters_only` of the refitted nominal form;
+    `effects_only` of the answer's effects on the declared parameters, None where it has none;
     `after` of the answer; `floor` what noise alone makes. `closed` is None where there was nothing
     to close."""
 
@@ -68,6 +69,7 @@ class Gap:
     closed: float | None
     ci95: tuple[float, float] | None
     by_channel: dict[str, ChannelGap]
+    effects_only: float | None = None
     beginnings: bool = True  # whether the windows that start with the logs are counted
 
     @property
@@ -88,6 +90,7 @@ class Gap:
             "before": self.before,
             "same_numbers": self.same_numbers,
             "parameters_only": self.parameters_only,
+            "effects_only": self.effects_only,
             "after": self.after,
             "floor": self.floor,
             "closed": self.closed,
@@ -241,8 +244,18 @@ def measure(
         closed=closed,
         ci95=ends,
         by_channel=channels,
+        effects_only=_effects_only(corrected, windows, motion),
         beginnings=counted,
     )
+
+
+def _effects_only(corrected: Predictor, windows: Sequence[Windows], motion: Array) -> float | None:
+    """The error of an answer's effects on the declared parameters; None of an answer without
+    effects."""
+    if not (isinstance(corrected, Corrected) and corrected.hypothesis.effects):
+        return None
+    declared = corrected.with_parameters(corrected.plant.parameters)
+    return _root(squared_errors(declared, windows, motion))
 
 
 def held_out_error(predictor: Predictor, episodes: Sequence[Episode]) -> float:

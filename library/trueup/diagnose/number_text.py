@@ -60,11 +60,14 @@ def with_interval(value: float, ci95: Sequence[float | None]) -> str:
 
 
 def percent(share: float) -> str:
-    """A share, with a digit more where it is small."""
+    """A share, with a digit more where it is small, or near the whole, to which it is not rounded
+    up."""
     if share == 0.0:
         return "0 %"
     if share < 0.001:  # noqa: PLR2004 - the digits of a percentage
         return "< 0.1 %"
+    if 0.99 <= share < 1.0:  # noqa: PLR2004
+        return f"{math.floor(1e3 * share) / 10:.1f} %"
     return f"{100.0 * share:.{0 if share >= 0.1 else 1}f} %"  # noqa: PLR2004
 
 

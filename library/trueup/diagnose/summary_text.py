@@ -220,7 +220,7 @@ def _nearest_words(document: Mapping[str, Any]) -> str:
 def _effects(document: Mapping[str, Any]) -> str:
     """What acts, and how much of the gap it closes; refitting first where it closes most."""
     every, parts = shares(document), _shares(document)
-    material, slight = material_effects(document["effects"])
+    material, slight = material_effects(document)
     joined = " and ".join(_with_estimate(e) for e in material)
     closes = "closes" if len(material) == 1 else "close"
     closed = sum(every.get(name(e), 0.0) for e in material)
@@ -253,12 +253,15 @@ def _acts(entries: Sequence[Any]) -> str:
 
 
 def material_effects(
-    entries: Sequence[Mapping[str, Any]],
+    document: Mapping[str, Any],
 ) -> tuple[list[Mapping[str, Any]], list[Mapping[str, Any]]]:
-    """The effects that are worth a headline, and those that matter less; if none is, all are."""
-    material = [e for e in entries if e["share"] >= EVIDENCE.worth_naming]
+    """The effects that are worth a headline, what closes most first, and those that matter less; if
+    none is, all are."""
+    parts = shares(document)
+    entries = sorted(document["effects"], key=lambda e: -parts.get(name(e), 0.0))
+    material = [e for e in entries if parts.get(name(e), 0.0) >= EVIDENCE.worth_naming]
     if not material:
-        return list(entries), []
+        return entries, []
     return material, [e for e in entries if e not in material]
 
 
@@ -281,10 +284,12 @@ def waterfall(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The parts of the held-out squared error, the nominal model's being 1: what the answer's
     integration and start take, what refitting takes, each effect, what is left, the noise.
 
-    What all effects take together is measured; it is split between several as each one's removal
-    brings back. Where the verdict is an unknown effect, the nearest composition takes their place.
-    An older report has no `same_numbers`: there, refitting includes integration and start. Empty
-    where there is no gap.
+    Refitting and the effects stand in the order of what they close alone, the larger first: what
+    both could close is counted for that one. What all effects take together is measured; it is
+    split between several as each one's removal brings back. Where the verdict is an unknown effect,
+    the nearest composition takes their place. An older report has no `same_numbers`: there,
+    refitting includes integration and start; or no `effects_only`: there, refitting comes first.
+    Empty where there is no gap.
     """
     gap = document["gap"]
     if gap["closed"] is None or not gap["before"] > 0.0:
@@ -292,18 +297,23 @@ def waterfall(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     effects, unknown = document["effects"], document["verdict"] == "unknown_effect"
     same = gap.get("same_numbers", gap["before"])
     numbers = gap["parameters_only"] if effects or unknown else gap["after"]
+    alone = gap.get("effects_only")
+    is_effects_first = alone is not None and alone < numbers
     levels = [1.0]
-    for error in (same, numbers, gap["after"], gap["floor"]):
+    for error in (same, alone if is_effects_first else numbers, gap["after"], gap["floor"]):
         levels.append(min((error / gap["before"]) ** 2, levels[-1]))
     taken = [high - low for high, low in pairwise(levels)]
+    by_effects = taken[1 if is_effects_first else 2]
     back = sum(e["share"] for e in effects)
     parts = [(SAME_NUMBERS, False, taken[0])] if "same_numbers" in gap else []
-    parts.append((NEW_NUMBERS, False, taken[1]))
-    for e in effects:
-        part = e["share"] / back if back else 1.0 / len(effects)
-        parts.append((name(e), True, 0.0 if unknown else taken[2] * part))
+    refitted = [(NEW_NUMBERS, False, taken[2 if is_effects_first else 1])]
+    acting = [
+        (name(e), True, by_effects * (e["share"] / back if back else 1.0 / len(effects)))
+        for e in effects
+    ]
     if unknown:
-        parts.append((NEAREST, False, taken[2]))
+        acting = [*((what, True, 0.0) for what, _, _ in acting), (NEAREST, False, by_effects)]
+    parts += acting + refitted if is_effects_first else refitted + acting
     parts += [(UNEXPLAINED, False, taken[3]), (NOISE, False, levels[-1])]
     return [{"what": what, "effect": is_effect, "share": share} for what, is_effect, share in parts]
 

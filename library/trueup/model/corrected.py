@@ -10,7 +10,7 @@ Journal of Basic Engineering 82 (1960).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, singledispatch
 from typing import Any
 
@@ -75,6 +75,11 @@ class Corrected(Predictor):
         values = plant.block.nulls.copy()
         values[: len(parameters)] = parameters
         return Corrected(plant, Hypothesis(), tuple(float(x) for x in values), DECLARED)
+
+    def with_parameters(self, parameters: Sequence[float]) -> Corrected:
+        """Its effects on other parameters of the nominal form, `(parameters,)`."""
+        given = tuple(float(x) for x in parameters)
+        return replace(self, values=given + self.values[len(given) :])
 
     @staticmethod
     def form_of(predictor: Predictor) -> Corrected | None:

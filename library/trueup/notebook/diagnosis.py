@@ -60,12 +60,14 @@ class FittedEffect:
 @dataclass(frozen=True)
 class Gap:
     """The error of predictions on held-out episodes, in standard deviations of each channel, over
-    `horizon_s` [s]: of the nominal model, of it refitted, of the answer; the floor that noise
-    alone leaves; and which part of the gap above it is closed, None where there is none."""
+    `horizon_s` [s]: of the nominal model, of it refitted, of the answer's effects on the declared
+    parameters (None where it has none), of the answer; the floor that noise alone leaves; and
+    which part of the gap above it is closed, None where there is none."""
 
     horizon_s: float
     before: float
     parameters_only: float
+    effects_only: float | None
     after: float
     floor: float
     closed: float | None
@@ -132,6 +134,7 @@ class Diagnosis:
             gap["horizon_s"],
             gap["before"],
             gap["parameters_only"],
+            gap.get("effects_only"),
             gap["after"],
             gap["floor"],
             gap["closed"],

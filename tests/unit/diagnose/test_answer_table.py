@@ -55,8 +55,7 @@ def test_what_closes_most_comes_first_and_shares_add_up():
         (
             [],
             [FRICTION, hypothesis(0.9, "backlash", "deadband")],
-            "likely: another explanation, backlash with deadband, has no larger error, "
-            "with more effects",
+            "likely: backlash with deadband fits as well, with more effects",
         ),
         (
             [],

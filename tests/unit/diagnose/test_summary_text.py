@@ -6,7 +6,7 @@ import pytest
 
 from trueup.canonical import canonical_bytes
 from trueup.collect.step_warning import off_step
-from trueup.diagnose.number_text import plus_minus, short
+from trueup.diagnose.number_text import percent, plus_minus, short
 from trueup.diagnose.summary_text import composition, sentence, waterfall
 from trueup.diagnose.summary_warnings import warnings
 
@@ -162,6 +162,37 @@ def test_what_the_answers_integration_takes_is_not_told_as_new_numbers():
     )
 
 
+def test_what_both_could_close_is_counted_for_the_one_that_closes_more_alone():
+    imitated = report([friction()], numbers=0.1, after=0.013)
+    imitated["gap"]["effects_only"] = 0.02
+    parts = {p["what"]: p["share"] for p in waterfall(imitated)}
+    assert list(parts)[1:3] == ["Coulomb friction", "refitted parameters"]
+    assert parts["Coulomb friction"] == pytest.approx(1.0 - (0.02 / 0.21) ** 2)
+    assert parts["refitted parameters"] == pytest.approx((0.02**2 - 0.013**2) / 0.21**2)
+    assert sum(parts.values()) == pytest.approx(1.0)
+    assert sentence(imitated).startswith(
+        "Coulomb friction at the joint, level 0.210 ± 0.020 m/s², closes 99.4 % of the gap."
+    )
+    wrong = report([friction()], numbers=0.05, after=0.013)
+    wrong["gap"]["effects_only"] = 0.18
+    assert sentence(wrong).startswith("Refitting the nominal parameters closes 95 % of the gap.")
+
+
+def test_the_effect_that_closes_most_comes_first():
+    small = friction(0.2) | {"effect": "cogging"}
+    text = sentence(report([small, friction(0.6)], numbers=0.2))
+    assert 0 <= text.index("Coulomb") < text.index("ogging")
+
+
+def test_a_part_of_the_whole_is_not_rounded_up_to_it():
+    assert [percent(x) for x in (0.985, 0.9951, 0.99996, 1.0)] == [
+        "98 %",
+        "99.5 %",
+        "99.9 %",
+        "100 %",
+    ]
+
+
 def test_an_effect_that_takes_nothing_held_out_is_named_without_a_part():
     text = sentence(report([friction()], same=0.012, after=0.013))
     assert text.startswith("Coulomb friction at the joint, level 0.210 ± 0.020 m/s² acts. The")
@@ -180,7 +211,7 @@ def test_a_model_that_is_only_integrated_or_started_otherwise_keeps_its_numbers(
     text = sentence(report(verdict="no_gap", same=0.014, numbers=0.013, after=0.013))
     assert text == (
         "No effect is missing and no parameter has to change. The integration scheme and the "
-        "filtered start of this diagnosis close 100 % of the gap. The held-out error falls from "
+        "filtered start of this diagnosis close 99.8 % of the gap. The held-out error falls from "
         "0.21 to 0.013; noise alone makes 0.012."
     )
 

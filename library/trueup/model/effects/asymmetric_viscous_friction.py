@@ -23,7 +23,7 @@ class AsymmetricViscousFriction(Effect):
             0.0,
             -INFINITY,
             INFINITY,
-            called="difference of damping by direction",
+            called="half the difference of damping between directions",
         ),
     )
     starts = ((0.1,), (-0.1,))
