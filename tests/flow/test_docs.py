@@ -137,6 +137,8 @@ def test_the_figures_in_the_prose_of_the_tutorial_are_those_of_its_diagnosis(sha
         "It is ": report["gap"]["before"],
         "for the declared model and ": report["gap"]["after"],
         "Coulomb friction with a level of about ": level,
+        "Refitting them alone brings the error to ": report["gap"]["parameters_only"],
+        "on the declared parameters, bring it to ": report["gap"]["effects_only"],
     }.items():
         written = re.search(re.escape(words) + r"([\d.]*\d)", prose).group(1)
         decimals = len(written.partition(".")[2])

@@ -285,7 +285,8 @@ def waterfall(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     integration and start take, what refitting takes, each effect, what is left, the noise.
 
     Refitting and the effects stand in the order of what they close alone, the larger first: what
-    both could close is counted for that one. What all effects take together is measured; it is
+    both could close is counted for that one. Where neither closes anything alone, refitting comes
+    first. What all effects take together is measured; it is
     split between several as each one's removal brings back. Where the verdict is an unknown effect,
     the nearest composition takes their place. An older report has no `same_numbers`: there,
     refitting includes integration and start; or no `effects_only`: there, refitting comes first.
@@ -298,7 +299,7 @@ def waterfall(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     same = gap.get("same_numbers", gap["before"])
     numbers = gap["parameters_only"] if effects or unknown else gap["after"]
     alone = gap.get("effects_only")
-    is_effects_first = alone is not None and alone < numbers
+    is_effects_first = alone is not None and alone < min(numbers, same)
     levels = [1.0]
     for error in (same, alone if is_effects_first else numbers, gap["after"], gap["floor"]):
         levels.append(min((error / gap["before"]) ** 2, levels[-1]))

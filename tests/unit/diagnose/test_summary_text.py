@@ -176,6 +176,11 @@ def test_what_both_could_close_is_counted_for_the_one_that_closes_more_alone():
     wrong = report([friction()], numbers=0.05, after=0.013)
     wrong["gap"]["effects_only"] = 0.18
     assert sentence(wrong).startswith("Refitting the nominal parameters closes 95 % of the gap.")
+    only_together = report([friction()], same=0.1, numbers=0.15, after=0.02)
+    only_together["gap"]["effects_only"] = 0.12
+    parts = {p["what"]: p["share"] for p in waterfall(only_together)}
+    assert parts["refitted parameters"] == 0.0
+    assert parts["Coulomb friction"] == pytest.approx((0.1**2 - 0.02**2) / 0.21**2)
 
 
 def test_the_effect_that_closes_most_comes_first():
