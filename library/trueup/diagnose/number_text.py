@@ -67,7 +67,7 @@ def percent(share: float) -> str:
     if share < 0.001:  # noqa: PLR2004 - the digits of a percentage
         return "< 0.1 %"
     if 0.99 <= share < 1.0:  # noqa: PLR2004
-        return f"{math.floor(1e3 * share) / 10:.1f} %"
+        return f"{min(100.0 * share, 99.9):.1f} %"
     return f"{100.0 * share:.{0 if share >= 0.1 else 1}f} %"  # noqa: PLR2004
 
 

@@ -216,7 +216,7 @@ def test_a_model_that_is_only_integrated_or_started_otherwise_keeps_its_numbers(
     text = sentence(report(verdict="no_gap", same=0.014, numbers=0.013, after=0.013))
     assert text == (
         "No effect is missing and no parameter has to change. The integration scheme and the "
-        "filtered start of this diagnosis close 99.8 % of the gap. The held-out error falls from "
+        "filtered start of this diagnosis close 99.9 % of the gap. The held-out error falls from "
         "0.21 to 0.013; noise alone makes 0.012."
     )
 

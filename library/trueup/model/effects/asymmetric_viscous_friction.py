@@ -23,7 +23,7 @@ class AsymmetricViscousFriction(Effect):
             0.0,
             -INFINITY,
             INFINITY,
-            called="half the difference of damping between directions",
+            called="damping forwards minus backwards, halved",
         ),
     )
     starts = ((0.1,), (-0.1,))
