@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -62,7 +63,7 @@ def fit(
         "kind": "fit",
         "method": method,
         **({"features": features.split(",")} if features else {}),
-        **({"episodes": [resolve_episode(client, plant, e) for e in episode]} if episode else {}),
+        **_only(client, plant, episode),
     }
     if method == "conditioned":
         request["context"] = {"by": context, "parameters": measured}
@@ -142,7 +143,7 @@ def gate(
         "kind": "gate",
         "candidate": resolve_artifact(client, plant, candidate),
         "gate": declared["digest"],
-        **({"episodes": [resolve_episode(client, plant, e) for e in episode]} if episode else {}),
+        **_only(client, plant, episode),
         **({"scales": True} if scales else {}),
     }
     result = result_of(run_job(client, plant, request, "judge"))
@@ -286,6 +287,13 @@ def resolve_episode(client: Client, plant: str, prefix: str) -> str:
     return resolve_digest(prefix, client.episodes(plant), "episode", f"trueup upload {plant} FILE")
 
 
+def _only(client: Client, plant: str, prefixes: Sequence[str]) -> dict[str, list[str]]:
+    """Returns the part of a job's request that names its episodes, empty for all of them. Raises
+    NoSuchDigest."""
+    named = [resolve_episode(client, plant, prefix) for prefix in prefixes]
+    return {"episodes": named} if named else {}
+
+
 def run_job(client: Client, plant: str, request: dict[str, Any], what: str) -> JobWithReads:
     """Submits a job and waits for it with a progress bar. Raises Problem if it failed."""
     job = client.submit(plant, request)
@@ -328,7 +336,7 @@ def show_decision(decision: Decision, gate: GateInLine) -> None:
             for v in decision["document"]["verdicts"]
         ],
     )
-    show_reasons(decision)
+    _show_reasons(decision)
     uses = decision["document"].get("uses")
     if uses:
         say(
@@ -344,7 +352,7 @@ def show_decision(decision: Decision, gate: GateInLine) -> None:
         say("It is looser than gate {}: {}.", less["gate"][:12], "; ".join(less["looser"]))
 
 
-def show_reasons(decision: Decision) -> None:
+def _show_reasons(decision: Decision) -> None:
     """Prints why a candidate was rejected and what can be done, or which rules it passed by less
     than their interval."""
     verdicts = decision["document"]["verdicts"]

@@ -280,17 +280,26 @@ def is_above_floor(gap: Mapping[str, Any]) -> bool:
     return bool(gap["after"] > EVIDENCE.clearly_above_floor * gap["floor"])
 
 
+def effects_close_more(gap: Mapping[str, Any]) -> bool:
+    """Whether the effects of an answer, on the declared parameters, close more of a gap than
+    refitting without them; an older report does not say."""
+    alone = gap.get("effects_only")
+    same = gap.get("same_numbers", gap["before"])
+    return alone is not None and bool(alone < min(gap["parameters_only"], same))
+
+
 def waterfall(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The parts of the held-out squared error, the nominal model's being 1: what the answer's
     integration and start take, what refitting takes, each effect, what is left, the noise.
 
     Refitting and the effects stand in the order of what they close alone, the larger first: what
     both could close is counted for that one. Where neither closes anything alone, refitting comes
-    first. What all effects take together is measured; it is
-    split between several as each one's removal brings back. Where the verdict is an unknown effect,
-    the nearest composition takes their place. An older report has no `same_numbers`: there,
-    refitting includes integration and start; or no `effects_only`: there, refitting comes first.
-    Empty where there is no gap.
+    first.
+
+    What all effects take together is measured; it is split between several as each one's removal
+    brings back. Where the verdict is an unknown effect, the nearest composition takes their place.
+    In an older report refitting includes integration and start, or comes first. Empty where there
+    is no gap.
     """
     gap = document["gap"]
     if gap["closed"] is None or not gap["before"] > 0.0:
@@ -298,10 +307,10 @@ def waterfall(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     effects, unknown = document["effects"], document["verdict"] == "unknown_effect"
     same = gap.get("same_numbers", gap["before"])
     numbers = gap["parameters_only"] if effects or unknown else gap["after"]
-    alone = gap.get("effects_only")
-    is_effects_first = alone is not None and alone < min(numbers, same)
+    is_effects_first = effects_close_more(gap)
+    first = gap["effects_only"] if is_effects_first else numbers
     levels = [1.0]
-    for error in (same, alone if is_effects_first else numbers, gap["after"], gap["floor"]):
+    for error in (same, first, gap["after"], gap["floor"]):
         levels.append(min((error / gap["before"]) ** 2, levels[-1]))
     taken = [high - low for high, low in pairwise(levels)]
     by_effects = taken[1 if is_effects_first else 2]
@@ -349,11 +358,8 @@ def _with_estimate(entry: Mapping[str, Any]) -> str:
 
 
 def estimated(entry: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
-    """Parameters of an effect with their estimates, in the order in which the effect declares them.
-
-    Stored JSON is sorted by key, so the entry lists the order; an older report's is that of its
-    keys.
-    """
+    """An effect's parameters with their estimates, in the order in which it declares them: the
+    keys of stored JSON are sorted. An older report has the order of its keys."""
     estimate = entry["estimate"]
     return [(parameter, estimate[parameter]) for parameter in entry.get("parameters", estimate)]
 

@@ -95,7 +95,10 @@ def _page(
 
 
 def _fresh(tx: ReadTransaction, made: DecisionRecord) -> dict[str, Any]:
-    """The held-out episodes that came in after a decision, and how the command names them."""
+    """The held-out episodes that came in after a rejection, and how the command names them; none
+    of an accepted decision, whose page does not ask."""
+    if made.accepted:
+        return {"fresh": [], "again": []}
     later = tx.episodes.of_roles(made.plant, HELD_OUT, ingested_after=made.created_at)
     fresh = [e.digest for e in later if e.digest not in made.document["episodes"]]  # type: ignore[operator]
     named = [part for digest in fresh for part in ("--episode", digest[:12])]
