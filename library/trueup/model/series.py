@@ -201,7 +201,7 @@ def unobserved(
 ) -> Series:
     """A command `(samples, joints)` at `t_s` [s] that nobody recorded an answer to, from rest, in
     one window."""
-    n = len(t_s)
+    n, command = len(t_s), np.ascontiguousarray(command)
     steps, resets = np.full(n, scheme.parts), np.full(n, -1)
     steps[-1], resets[0] = 0, 0
     zeros = np.zeros((n, 2 * command.shape[1]))
@@ -211,7 +211,7 @@ def unobserved(
         t_s=t_s,
         h_s=np.full(n, period_s / scheme.parts),
         steps=steps,
-        issued=np.ascontiguousarray(command),
+        issued=command,
         rise=np.zeros_like(command),
         integral=integral_of(command, t_s),
         observed=zeros,

@@ -43,6 +43,13 @@ def rolled(of, on, values=0.02):
     return roll(s, form, p, acts, init)
 
 
+def test_one_kernel_serves_commands_however_they_lie_in_memory():
+    """Arrays in the order of Fortran would be compiled for anew, which takes a quarter minute."""
+    command = np.asfortranarray(np.ones((SAMPLES, 2)))
+    s = unobserved(SYMMETRIC, np.arange(SAMPLES) * 0.1, command, np.ones(2), 0.1)
+    assert all(x.flags.c_contiguous for x in (s.issued, s.rise, s.integral))
+
+
 @pytest.mark.parametrize("name", ["one joint", "arm"])
 @pytest.mark.parametrize(
     "on",
