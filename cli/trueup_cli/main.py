@@ -11,6 +11,7 @@ import sys
 from cyclopts import App, CycloptsError, CycloptsPanel, Group
 
 from trueup import __version__
+from trueup.cores import one_blas_thread
 from trueup_cli.exits import (
     CALLS_SERVICE,
     INTERRUPTED,
@@ -21,6 +22,8 @@ from trueup_cli.exits import (
     VERIFIES_LOCALLY,
     exit_codes,
 )
+
+one_blas_thread()  # before anything loads numpy
 
 
 def _misuse_panel(error: CycloptsError) -> object:

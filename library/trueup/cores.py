@@ -1,4 +1,4 @@
-"""How many cores there are, work shared out over them, and the memory that its threads take."""
+"""How many cores there are, work shared out over them, and what its threads take."""
 
 from __future__ import annotations
 
@@ -25,6 +25,15 @@ def one_arena() -> bool:
         return False
     limit = getattr(ctypes.CDLL(None), "mallopt", None)
     return bool(limit is not None and limit(ARENAS, 1) == 1)
+
+
+def one_blas_thread() -> None:
+    """Let numpy's matrices be multiplied by one thread, unless OPENBLAS_NUM_THREADS says otherwise.
+
+    Ours are small, and what is large is shared out already: more threads would only wait for each
+    other, by turning. For programs that begin, before they load numpy.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def own_cores() -> list[int]:

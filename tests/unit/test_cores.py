@@ -1,5 +1,6 @@
-"""The memory of threads that share work."""
+"""What threads that share work take."""
 
+import os
 import platform
 import subprocess
 import sys
@@ -38,3 +39,14 @@ def test_threads_take_memory_from_one_arena():
     ]
     assert [granted for granted, _ in said] == ["False", "True"]
     assert int(said[1][1]) < int(said[0][1]) - 4
+
+
+@pytest.mark.parametrize(("asked", "threads"), [(None, "1"), ("2", "2")])
+def test_the_command_multiplies_matrices_by_one_thread_unless_it_is_told_otherwise(asked, threads):
+    code = "import os, trueup_cli.main; print(os.environ['OPENBLAS_NUM_THREADS'])"
+    own = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
+    if asked is not None:
+        own["OPENBLAS_NUM_THREADS"] = asked
+    command = [sys.executable, "-c", code]
+    said = subprocess.run(command, capture_output=True, text=True, check=True, env=own).stdout
+    assert said.strip() == threads
