@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 from collections.abc import Iterator
@@ -20,6 +21,12 @@ settings.register_profile("trueup", deadline=None)  # no test is about how fast 
 settings.load_profile("trueup")
 os.environ["TRUEUP_ADMIN_TOKEN"] = os.environ["TRUEUP_TOKEN"] = ADMIN
 EXAMPLE = Path(__file__).parent.parent / "examples" / "emps"
+
+
+def pytest_collection_finish() -> None:
+    """Keeps what was loaded out of each garbage collection of the tests."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

@@ -1,15 +1,35 @@
-"""Loaded into the process that others are forked from: it survives the death of who asks it.
+"""Loaded into the process that others are forked from, as the last of what it loads.
 
-A process that is killed after it has connected, and before it has said what to fork, makes Python's
-fork server end with an EOFError; it then forks for nobody else either. A connection that was
-aborted it ignores.
+It loads all of ours and the compiled rollouts, so that what is forked begins with them, and keeps
+them out of each garbage collection. And it survives the death of who asks it: a process that is
+killed after it has connected, and before it has said what to fork, makes Python's fork server end
+with an EOFError; it then forks for nobody else either. A connection that was aborted it ignores.
 """
 
 from __future__ import annotations
 
 import errno
+import gc
+import importlib
+import pkgutil
 import socket
 from multiprocessing import reduction
+
+from trueup.fit.fitter import warm
+from trueup.model.family_kernel import compile_all
+
+OURS = ("trueup", "trueup_client", "trueup_pages", "trueup_service", "trueup_worker", "trueup_cli")
+
+for _package in OURS:
+    for _module in pkgutil.walk_packages(
+        importlib.import_module(_package).__path__, f"{_package}."
+    ):
+        if not _module.name.endswith((".main", ".__main__")):
+            importlib.import_module(_module.name)
+compile_all()
+warm()
+gc.collect()
+gc.freeze()
 
 _recvfds = reduction.recvfds
 

@@ -22,7 +22,7 @@ from multiprocessing.reduction import DupFd
 from pathlib import Path
 from typing import Any
 
-# what the command imports, without its own modules, which read the environment when they are loaded
+# what ours import, and ours
 PRELOADED = [
     "cyclopts", "dbos", "fastapi", "numba", "obstore", "psycopg", "rich.console", "rich.progress",
     "rich.table", "uvicorn", "uvloop",
@@ -35,6 +35,9 @@ PRELOADED = [
 importlib.import_module("trueup_worker.compute_process")
 _context = multiprocessing.get_context("forkserver")
 _context.set_forkserver_preload(PRELOADED)
+# Read when a module is loaded, or before an effect is compiled: a process that has another value of
+# one of these begins anew.
+READ_AT_START = ("TRUEUP_PORT", "TRUEUP_EFFECTS", "TRUEUP_SIMULATORS", "NUMBA_CACHE_DIR")
 # by which a process reaches the one that forks; the key from Python 3.14 on
 REACHED_BY = ("_forkserver_address", "_forkserver_authkey")
 
@@ -134,9 +137,12 @@ def _run(
     for number, file in enumerate(outputs, 1):
         os.dup2(file, number)
         os.close(file)
+    before = dict(os.environ)
     os.environ.clear()
     os.environ.update(environment)
     os.chdir(cwd)
+    if any(environment.get(name) != before.get(name) for name in READ_AT_START):
+        os.execve(sys.executable, [sys.executable, "-m", module, *arguments], environment)
     sys.argv = [module, *arguments]
     if "PYTHONWARNINGS" in environment:  # which an interpreter reads only at its start
         warnings.simplefilter(environment["PYTHONWARNINGS"])  # type: ignore[arg-type]
