@@ -11,6 +11,8 @@ PROJECTS := $(PARTS:%=%/pyproject.toml)
 
 # Where this is set, every process compiles all the Python that it imports.
 unexport PYTHONDONTWRITEBYTECODE
+# The tests share the cores out themselves, as a diagnosis does.
+export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo look demo-arm serve test quick advisories check laws flow bench docs site \
