@@ -243,36 +243,27 @@ def test_a_decision_discloses_that_an_open_loop_had_shown_its_episodes(service, 
 
 @pytest.fixture(scope="module")
 def designed(tmp_path_factory):
-    """The excitation that the command designs for a folder, with one episode of the chapter."""
+    """The excitation that the command designs for the folder of the chapter."""
     folder = tmp_path_factory.mktemp("designed")
-    case = folder / "case"
-    case.mkdir()
-    for name in ("plant.json", "adaptation.mcap"):
-        (case / name).write_bytes((CHAPTER / name).read_bytes())
-    arguments = ["excite", str(case), "--out", str(folder / "here"), *DESIGN]
+    arguments = ["excite", str(CHAPTER), "--out", str(folder), *DESIGN]
     done = forks.run("trueup_cli.main", arguments, os.environ, ROOT)
     assert done.returncode == 0, done.stderr
-    return folder / "here"
+    return folder
 
 
-def test_the_service_designs_the_excitation_that_the_command_designs(service, fitted, designed):
-    """The named episodes are those of the case folder, and every file agrees."""
-    digest = hashlib.sha256((CHAPTER / "adaptation.mcap").read_bytes()).hexdigest()
-    request = {"kind": "excite", "spread": 0.2, "duration_s": 2.0, "seed": 3, "episodes": [digest]}
+def test_the_service_designs_the_excitation_that_the_command_designs(
+    service, fitted, designed, tmp_path
+):
+    """Its episodes are those of the case folder, and every file agrees."""
+    command(service, "excite", "chapter", "--out", str(tmp_path / "there"), *DESIGN)
+    for name in ("excitation.csv", "excitation.mcap", "excitation.json"):
+        assert (tmp_path / "there" / name).read_bytes() == (designed / name).read_bytes()
     with Client(service.url) as client:
-        job = client.wait(client.submit("chapter", request)["id"])
-        report = job["result"]["report"]
-        for name in ("excitation.csv", "excitation.mcap", "excitation.json"):
-            assert client.output(job["id"], name) == (designed / name).read_bytes()
+        report = next(client.jobs("chapter"))["result"]["report"]
     assert report["breaches"] == 0
     assert "drawn" not in report
     design = json.loads((designed / "excitation.json").read_text())
     assert report["check_first"] == design["check_first"]
-
-
-def test_a_design_of_the_service_comes_with_its_page(service, fitted, tmp_path):
-    command(service, "excite", "chapter", "--out", str(tmp_path / "there"), *DESIGN)
-    assert (tmp_path / "there" / "excitation.csv").is_file()
     page = (tmp_path / "there" / "report.html").read_text()
     assert page.count('<svg class="curves"') == 1 + 2  # the command, position and velocity
     assert "hand on an emergency stop" in page
@@ -290,6 +281,7 @@ REFUSED = [
     ({"kind": "excite", "goal": "split", "spread": 0.1}, "not-identifiable"),
     ({"kind": "excite", "diagnosis": "0" * 32}, "not-found"),
     ({"kind": "excite", "duration_s": 0}, "invalid-request"),
+    ({"kind": "excite", "episodes": ["0" * 64]}, "not-found"),
     ({"kind": "fit", "method": "blind", "training": ["0" * 64]}, "not-found"),
 ]
 

