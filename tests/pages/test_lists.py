@@ -18,8 +18,8 @@ HOME = f"/plants/{PLANT}"
 
 
 @pytest.fixture(scope="module")
-def running(service):
-    return service
+def running(on_servers):
+    return on_servers
 
 
 @pytest.fixture(scope="module")

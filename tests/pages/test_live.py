@@ -21,10 +21,10 @@ GRACE_S = 9.0  # a server waits ten for what is under way
 
 
 @pytest.fixture(scope="module")
-def running(service):
-    with closing(Client(service.url, token=ADMIN)) as client:
+def running(on_servers):
+    with closing(Client(on_servers.url, token=ADMIN)) as client:
         client.register_plant(plant_document(PLANT))
-    return service
+    return on_servers
 
 
 @pytest.fixture
@@ -176,18 +176,37 @@ def events(service, token, query=""):
                     return
 
 
-def test_a_token_hears_of_its_own_plants_alone(running, others):
-    others.create_project("elsewhere")
-    token = others.issue_token("reader", ["engineer"], project="elsewhere")["token"]
-    heard = [data for kind, data in events(running, ADMIN, "?after=0") if kind == "entry"]
+@pytest.fixture(scope="module")
+def admin(service):
+    """An admin of a service on either storage, which has the plant."""
+    with closing(Client(service.url, token=ADMIN)) as client:
+        client.register_plant(plant_document(PLANT))
+        yield client
+
+
+def test_a_stream_goes_on_with_what_happens(service, admin, tmp_path):
+    headers = {"Authorization": f"Bearer {ADMIN}"}
+    asked = urllib.request.Request(f"{service.url}/live", headers=headers)
+    with urllib.request.urlopen(asked, timeout=60) as stream:
+        lines = iter(stream.readline, b"")
+        assert b"event: at\n" in lines  # it has begun
+        uploaded(admin, tmp_path, 1)
+        assert b"event: entry\n" in lines
+        assert f"A recording came in on {PLANT}." in next(lines).decode()
+
+
+def test_a_token_hears_of_its_own_plants_alone(service, admin):
+    admin.create_project("elsewhere")
+    token = admin.issue_token("reader", ["engineer"], project="elsewhere")["token"]
+    heard = [data for kind, data in events(service, ADMIN, "?after=0") if kind == "entry"]
     assert f"A plant was registered on {PLANT}." in [e["words"] for e in heard]
-    assert [data for kind, data in events(running, token, "?after=0") if kind == "entry"] == []
+    assert [data for kind, data in events(service, token, "?after=0") if kind == "entry"] == []
 
 
-def test_what_happens_elsewhere_hides_nothing_of_a_plant(running, others):
+def test_what_happens_elsewhere_hides_nothing_of_a_plant(service, admin):
     for i in range(101):  # more than a stream tells at once
-        others.issue_token(f"reader-{i}", ["engineer"])
-    heard = [data for kind, data in events(running, ADMIN, f"?after=0&plant={PLANT}")]
+        admin.issue_token(f"reader-{i}", ["engineer"])
+    heard = [data for kind, data in events(service, ADMIN, f"?after=0&plant={PLANT}")]
     assert heard[0]["words"] == f"A plant was registered on {PLANT}."
 
 

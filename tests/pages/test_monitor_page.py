@@ -19,8 +19,8 @@ expect.set_options(timeout=2 * A_MINUTE)
 
 
 @pytest.fixture(scope="module")
-def running(service):
-    return service
+def running(on_servers):
+    return on_servers
 
 
 @pytest.fixture(scope="module")
