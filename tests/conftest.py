@@ -15,12 +15,20 @@ from tests.support.postgres import Postgres, start_postgres
 from tests.support.s3 import S3, start_s3
 from tests.support.service import ADMIN, Service
 from tests.support.storage import Storage, requested
+from trueup import cores
 from trueup_client import Client
 
 settings.register_profile("trueup", deadline=None)  # no test is about how fast a machine is
 settings.load_profile("trueup")
 os.environ["TRUEUP_ADMIN_TOKEN"] = os.environ["TRUEUP_TOKEN"] = ADMIN
 EXAMPLE = Path(__file__).parent.parent / "examples" / "emps"
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Lets a diagnosis in a process of the tests keep to one core where several processes share
+    the cores out."""
+    if hasattr(config, "workerinput"):
+        cores.own_cores = lambda: [min(os.sched_getaffinity(0))]
 
 
 def pytest_collection_finish() -> None:

@@ -256,7 +256,7 @@ def test_the_ensemble_of_a_diagnosis_is_as_uncertain_as_its_report():
 
 def test_the_command_writes_what_a_robot_plays_and_no_episode(tmp_path, capsys):
     (tmp_path / "plant.json").write_text(json.dumps(plant_document()))
-    excite(str(tmp_path), out=tmp_path / "out", spread=0.1, duration_s=6.0)
+    excite(str(tmp_path), out=tmp_path / "out", spread=0.1, duration_s=3.0)
     document = json.loads((tmp_path / "out" / "excitation.json").read_text())
     rows = (tmp_path / "out" / "excitation.csv").read_text().splitlines()
     said = [row.removeprefix("# ") for row in rows if row.startswith("#")]
