@@ -1,7 +1,8 @@
 """Loaded into the process that others are forked from, as the last of what it loads.
 
-It loads all of ours and the compiled rollouts, so that what is forked begins with them, and keeps
-them out of each garbage collection. And it survives the death of who asks it: a process that is
+It loads the compiled rollouts and all of ours but the command, which reads the environment when it
+is loaded, so that what is forked begins with them, and keeps them out of each garbage collection.
+And it survives the death of who asks it: a process that is
 killed after it has connected, and before it has said what to fork, makes Python's fork server end
 with an EOFError; it then forks for nobody else either. A connection that was aborted it ignores.
 """
@@ -18,7 +19,7 @@ from multiprocessing import reduction
 from trueup.fit.fitter import warm
 from trueup.model.family_kernel import compile_all
 
-OURS = ("trueup", "trueup_client", "trueup_pages", "trueup_service", "trueup_worker", "trueup_cli")
+OURS = ("trueup", "trueup_client", "trueup_pages", "trueup_service", "trueup_worker")
 
 for _package in OURS:
     for _module in pkgutil.walk_packages(

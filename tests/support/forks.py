@@ -22,7 +22,7 @@ from multiprocessing.reduction import DupFd
 from pathlib import Path
 from typing import Any
 
-# what ours import, and ours
+# what the command imports, without its own modules
 PRELOADED = [
     "cyclopts", "dbos", "fastapi", "numba", "obstore", "psycopg", "rich.console", "rich.progress",
     "rich.table", "uvicorn", "uvloop",
@@ -35,9 +35,9 @@ PRELOADED = [
 importlib.import_module("trueup_worker.compute_process")
 _context = multiprocessing.get_context("forkserver")
 _context.set_forkserver_preload(PRELOADED)
-# Read when a module is loaded, or before an effect is compiled: a process that has another value of
-# one of these begins anew.
-READ_AT_START = ("TRUEUP_PORT", "TRUEUP_EFFECTS", "TRUEUP_SIMULATORS", "NUMBA_CACHE_DIR")
+# Read before an effect is compiled, or when the compiler is loaded: a process that has another value
+# of one of these begins anew.
+READ_AT_START = ("TRUEUP_EFFECTS", "TRUEUP_SIMULATORS", "NUMBA_CACHE_DIR")
 # by which a process reaches the one that forks; the key from Python 3.14 on
 REACHED_BY = ("_forkserver_address", "_forkserver_authkey")
 
