@@ -1,10 +1,11 @@
 """Loaded into the process that others are forked from, as the last of what it loads.
 
-It loads the compiled rollouts and all of ours but the command, which reads the environment when it
-is loaded, so that what is forked begins with them, and keeps them out of each garbage collection.
-And it survives the death of who asks it: a process that is
-killed after it has connected, and before it has said what to fork, makes Python's fork server end
-with an EOFError; it then forks for nobody else either. A connection that was aborted it ignores.
+It loads the compiled rollouts, and all of ours but the command, which reads the environment when it
+is loaded: what is forked begins with them, and no garbage collection looks at them.
+
+It survives the death of who asks it. A process that is killed after it has connected, and before it
+has said what to fork, makes Python's fork server end with an EOFError; it then forks for nobody
+else either. A connection that was aborted it ignores.
 """
 
 from __future__ import annotations
