@@ -35,8 +35,8 @@ PRELOADED = [
 importlib.import_module("trueup_worker.compute_process")
 _context = multiprocessing.get_context("forkserver")
 _context.set_forkserver_preload(PRELOADED)
-# Read before an effect is compiled, or when the compiler is loaded: a process that has another value
-# of one of these begins anew.
+# Read before an effect is compiled, or when the compiler is loaded: a process that has another
+# value of one of these begins anew.
 READ_AT_START = ("TRUEUP_EFFECTS", "TRUEUP_SIMULATORS", "NUMBA_CACHE_DIR")
 # by which a process reaches the one that forks; the key from Python 3.14 on
 REACHED_BY = ("_forkserver_address", "_forkserver_authkey")

@@ -69,6 +69,7 @@ def run(*arguments, **environment):
     return forks.run("trueup_cli.main", arguments, environment, ROOT)
 
 
+@pytest.mark.slow
 def test_exit_codes_are_what_they_are_told_to_be(tmp_path):
     assert "Exit codes: 0 done; 1 refused" in run("diagnose", "--help", COLUMNS="200").stdout
     assert run("serving").returncode == exits.MISUSED
@@ -89,6 +90,7 @@ def test_exit_codes_are_what_they_are_told_to_be(tmp_path):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", [("completion", "zsh"), ("doctor",)], ids=" ".join)
 def test_who_stops_reading_gets_no_traceback(command):
     child = subprocess.Popen(
@@ -130,11 +132,13 @@ def test_an_answer_is_printed_with_its_warnings_and_names_as_they_are(capsys):
     assert "held-out predictions worse" in numbers
 
 
+@pytest.mark.slow
 def test_doctor_prints_json():
     parts = json.loads(run("doctor", "--json").stdout)
     assert {"python", "numba", "onnx"} <= {f["part"] for f in parts}
 
 
+@pytest.mark.slow
 def test_shells_complete_commands_and_options(tmp_path):
     for shell in SHELLS:
         assert "diagnose" in run("completion", shell).stdout

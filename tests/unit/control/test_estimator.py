@@ -95,6 +95,7 @@ def test_with_a_right_model_late_sensors_cost_nothing(delays):
     assert error(delays, stamped=False) != pytest.approx(prompt, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_model_that_knows_the_delay_tracks_better():
     late = true(actuator_delay={"delay": 0.5})
     assert transport_delay_s(late) == 0.5

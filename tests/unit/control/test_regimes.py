@@ -42,6 +42,7 @@ def chapter():
     return run_regimes(TRUTH, models, CHAPTER, conditions)
 
 
+@pytest.mark.slow
 def test_the_chapters_tracking_errors_come_out_digit_by_digit(chapter):
     table = PUBLISHED["Tracking error"]
     assert [r["regime"] for r in chapter["regimes"]] == list(REGIMES)
@@ -51,6 +52,7 @@ def test_the_chapters_tracking_errors_come_out_digit_by_digit(chapter):
         assert all(m["breaches"] == {"share": 0.0, "runs": 0} for m in regime["models"])
 
 
+@pytest.mark.slow
 def test_the_chapters_sweep_falls_with_delay_and_is_mended_by_stamps(chapter):
     nominal = [s for s in chapter["sweep"] if s["model"] == "nominal"]
     assert [s["delay_ticks"] for s in nominal] == [0, 1, 2, 3, 5, 8]
@@ -60,6 +62,7 @@ def test_the_chapters_sweep_falls_with_delay_and_is_mended_by_stamps(chapter):
     assert conditioned == pytest.approx([conditioned[0]] * 6, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_issued_and_applied_commands_are_both_in_the_document(chapter):
     reduced = next(r for r in chapter["regimes"] if r["regime"] == "reduced_authority")
     for model in reduced["models"]:

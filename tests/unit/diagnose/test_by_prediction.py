@@ -104,6 +104,7 @@ def test_the_nearest_is_what_predicts_best_and_is_no_answer():
     assert (nearest.winner, better) == (base, False)
 
 
+@pytest.mark.slow
 def test_a_machine_that_changed_after_it_was_fitted_keeps_its_nominal_model():
     """The recordings that are fitted are of a joint that rubs, those held out of one without: what
     fits the first predicts the others worse than the nominal model does."""

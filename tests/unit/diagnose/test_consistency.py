@@ -154,6 +154,7 @@ def test_recordings_that_agree_are_told_so(alike):
     assert low < LEVELS[0] < high
 
 
+@pytest.mark.slow
 def test_a_study_of_days_diagnoses_each_of_them(drifted):
     validation = [recorded(LEVELS[0], 9, 1, Role.VALIDATION)]
     document = consistency(with_friction(0.5), [*drifted, *validation], diagnoses=True)
@@ -206,6 +207,7 @@ def test_what_has_no_parameters_or_too_few_recordings_is_refused(alike):
         consistency(with_friction(0.5), alike[:1])
 
 
+@pytest.mark.slow
 def test_a_diagnosis_of_recordings_that_differ_widens_its_interval_and_says_so(drifted, alike):
     held_out = partial(recorded, day=1, role=Role.VALIDATION)
     wide, narrow = (

@@ -109,6 +109,7 @@ def test_a_rollout_follows_a_ramp_between_samples():
     assert declared == ramped
 
 
+@pytest.mark.slow
 def test_the_hold_that_nobody_declared_is_found(log):
     hold, episodes = log
     report = dict(diagnose(plant(c=6.0), episodes).document)
@@ -122,6 +123,7 @@ def test_the_hold_that_nobody_declared_is_found(log):
     assert told == (hold == "first_order")
 
 
+@pytest.mark.slow
 def test_a_declared_hold_is_kept(log):
     hold, episodes = log
     entry = diagnose(plant(hold), episodes).document["evidence"]["holds"]["u"]

@@ -74,6 +74,7 @@ def test_a_bias_shows_where_a_force_depends_on_the_position_and_nowhere_else(liv
     assert bias.why
 
 
+@pytest.mark.slow
 def test_starts_that_are_held_do_not_make_a_bias_seem_to_show():
     """On a machine's recordings fits hold the starts of windows; a bias moves those, too."""
     free, episodes, _ = recorded("B2", [], 7)
@@ -100,6 +101,7 @@ def test_less_noise_shows_weaker_effects(lively):
         assert of(dim, effect).weakest > 3.0 * of(clear, effect).weakest
 
 
+@pytest.mark.slow
 def test_the_report_holds_the_table(lively):
     plant, episodes = lively
     document = diagnose(plant, episodes).document["identifiability"]

@@ -19,6 +19,7 @@ def late(episodes, plant):
     return [replace(as_recorded(plant, e, late_s=LATE_S), conditions=MACHINE) for e in machine]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tier", "seed"), [("A1", 3), ("B1", 4)])
 def test_two_effects_are_named_beside_a_late_topic(tier, seed):
     plant, episodes, _ = recorded(tier, HIDDEN, seed, runs=3)

@@ -14,6 +14,8 @@ from trueup.diagnose.payload import payload
 from trueup.diagnose.problem_setup import Recordings
 from trueup.diagnose.summary_text import sentence
 
+pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
+
 ROLES = ["adaptation"] * 3 + ["validation"]
 
 

@@ -112,6 +112,7 @@ def is_alive(pid):
         return False
 
 
+@pytest.mark.slow
 def test_a_diagnosis_is_the_same_whoever_solves_it():
     plant, episodes, _ = recorded_twice("A1", ["quadratic_drag"], 21)
     by_threads, by_processes = (

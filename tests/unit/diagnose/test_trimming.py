@@ -34,6 +34,7 @@ def machine():
     return plant, of_a_machine(episodes)
 
 
+@pytest.mark.slow
 def test_friction_is_named_though_a_push_hides_it_and_the_push_is_told(machine):
     plant, episodes = machine
     at = next(i for i, e in enumerate(episodes) if e.role is Role.ADAPTATION)
@@ -49,6 +50,7 @@ def test_friction_is_named_though_a_push_hides_it_and_the_push_is_told(machine):
     assert "a push from outside?" in sentence(document)
 
 
+@pytest.mark.slow
 def test_nothing_is_put_aside_where_an_effect_explains_everything(machine):
     plant, episodes = machine
     document = diagnose(plant, episodes).document
@@ -56,6 +58,7 @@ def test_nothing_is_put_aside_where_an_effect_explains_everything(machine):
     assert "push" not in sentence(document)
 
 
+@pytest.mark.slow
 def test_a_stop_that_is_met_in_few_windows_is_no_push():
     plant, episodes, _ = recorded("B1", ["coulomb_friction", "hard_stop"], 2)
     document = diagnose(plant, of_a_machine(episodes)).document

@@ -63,6 +63,7 @@ def test_a_heavy_tail_can_be_cut_off():
     assert of.box() == {"k": (pytest.approx(0.5), pytest.approx(3.0))}
 
 
+@pytest.mark.slow
 def test_correlated_numbers_keep_their_distributions():
     lognormal = {"distribution": "lognorm", "s": 0.3}
     of = family({"k": UNIFORM, "c": lognormal, "b": UNIFORM}, correlation=[["k", "c", 0.8]])
