@@ -14,7 +14,7 @@ from hypothesis import settings
 from tests.support.postgres import Postgres, start_postgres
 from tests.support.s3 import S3, start_s3
 from tests.support.service import ADMIN, Service
-from tests.support.storage import Storage, requested
+from tests.support.storage import Storage, requested, scaled
 from trueup import cores
 from trueup_client import Client
 
@@ -65,6 +65,16 @@ def service(
     """
     storage = requested(request, tmp_path_factory.mktemp("service"))
     with Service(storage).running() as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def on_servers(
+    tmp_path_factory: pytest.TempPathFactory, postgres: Postgres, s3: S3
+) -> Iterator[Service]:
+    """A running server with a worker on the stricter of the two databases, for files of which other
+    tests go the same way on the other one: what they ask of either, `tests/http` has."""
+    with Service(scaled(tmp_path_factory.mktemp("service"), postgres, s3)).running() as running:
         yield running
 
 

@@ -7,6 +7,8 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
+import pytest
+
 from tests.flow.test_failures import until
 from tests.support.case import write_recordings
 from tests.support.service import Service
@@ -127,6 +129,7 @@ def test_a_job_that_takes_longer_than_it_may_is_ended(storage):
         assert it.finish(job, computed) == "failed"
 
 
+@pytest.mark.parametrize("storage", ["embedded"], indirect=True)  # a process's limit knows none
 def test_a_job_that_needs_more_memory_than_it_may_have_fails_and_says_so(storage):
     limit = 768 << 20
     request = {

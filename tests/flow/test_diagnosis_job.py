@@ -1,5 +1,8 @@
 """A diagnosis as a job of the service gives the command's report, and its model is a candidate like
-any other; so does a blind trial."""
+any other; so does a blind trial.
+
+On embedded storage, `docs/tutorial.md` takes a diagnosis to a promotion, and is run by `test_docs`.
+"""
 
 import json
 from concurrent.futures import ThreadPoolExecutor
@@ -13,6 +16,11 @@ from tests.support.service import command
 from tests.support.simulated import recorded_twice as recorded
 from trueup.blindtrial.commitment import require_commitments
 from trueup_client import Client
+
+
+@pytest.fixture(scope="module")
+def service(on_servers):
+    return on_servers
 
 
 @pytest.fixture(scope="module")

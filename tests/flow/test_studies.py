@@ -1,5 +1,8 @@
-"""The chapter through the service: from uploaded episodes, over REST, on both storages. Studies
-give one answer on the service and on a folder, and decisions disclose what a study has shown."""
+"""The chapter through the service: from uploaded episodes, over REST. Studies give one answer on
+the service and on a folder, and decisions disclose what a study has shown.
+
+On embedded storage, `docs/howto-chapter.md` is the same way, and is run by `test_docs`.
+"""
 
 import hashlib
 import json
@@ -28,6 +31,11 @@ REGIMES = {
 
 def fit(client, **request):
     return client.wait(client.submit("chapter", {"kind": "fit", **request})["id"])["result"]
+
+
+@pytest.fixture(scope="module")
+def service(on_servers):
+    return on_servers
 
 
 @pytest.fixture(scope="module")
