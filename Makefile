@@ -11,7 +11,7 @@ PROJECTS := $(PARTS:%=%/pyproject.toml)
 
 # Where this is set, every process compiles all the Python that it imports.
 unexport PYTHONDONTWRITEBYTECODE
-# The tests share the cores out themselves, as a diagnosis does.
+# One thread multiplies matrices: tests and diagnoses share the cores out themselves.
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help

@@ -25,10 +25,9 @@ EXAMPLE = Path(__file__).parent.parent / "examples" / "emps"
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Lets a diagnosis in a process of the tests keep to one core where several processes share
-    the cores out."""
+    """Keeps a diagnosis to one core where several processes of tests use the others."""
     if hasattr(config, "workerinput"):
-        cores.own_cores = lambda: [min(os.sched_getaffinity(0))]
+        cores.use_one()
 
 
 def pytest_collection_finish() -> None:
@@ -72,8 +71,11 @@ def service(
 def on_servers(
     tmp_path_factory: pytest.TempPathFactory, postgres: Postgres, s3: S3
 ) -> Iterator[Service]:
-    """A running server with a worker on the stricter of the two databases, for files of which other
-    tests go the same way on the other one: what they ask of either, `tests/http` has."""
+    """A running server with a worker on PostgreSQL and S3 alone.
+
+    For files whose way other tests go on embedded storage, or whose questions `tests/http` asks on
+    both.
+    """
     with Service(scaled(tmp_path_factory.mktemp("service"), postgres, s3)).running() as running:
         yield running
 

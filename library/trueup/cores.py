@@ -28,10 +28,10 @@ def one_arena() -> bool:
 
 
 def one_blas_thread() -> None:
-    """Let numpy's matrices be multiplied by one thread, unless OPENBLAS_NUM_THREADS says otherwise.
+    """Let numpy multiply matrices on one thread, unless OPENBLAS_NUM_THREADS is set.
 
-    Ours are small, and what is large is shared out already: more threads would only wait for each
-    other, by turning. For programs that begin, before they load numpy.
+    Ours are small, and the work is shared out over the cores already: further threads would only
+    spin while they wait. For programs that begin, before they load numpy.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 

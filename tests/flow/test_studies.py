@@ -6,11 +6,9 @@ On embedded storage, `docs/howto-chapter.md` is the same way, and is run by `tes
 
 import hashlib
 import json
-import os
 
 import pytest
 
-from tests.support import forks
 from tests.support.service import ROOT, command
 from trueup.chapter.data import SHIFTED
 from trueup.chapter.published import PUBLISHED
@@ -19,7 +17,6 @@ from trueup_client import Client
 from trueup_client.problem import Problem
 
 CHAPTER = ROOT / "examples" / "chapter"
-DESIGN = ["--spread", "0.2", "--duration-s", "2", "--seed", "3"]
 SINE = ["--seed", "7", "--amplitude", "0.55", "--frequency-hz", "0.15", "--effort", "0.02"]
 REGIMES = {
     "nominal": "nominal plant",
@@ -249,29 +246,26 @@ def test_a_decision_discloses_that_an_open_loop_had_shown_its_episodes(service, 
     command(service, "audit", "verify")
 
 
-@pytest.fixture(scope="module")
-def designed(tmp_path_factory):
-    """The excitation that the command designs for the folder of the chapter."""
-    folder = tmp_path_factory.mktemp("designed")
-    arguments = ["excite", str(CHAPTER), "--out", str(folder), *DESIGN]
-    done = forks.run("trueup_cli.main", arguments, os.environ, ROOT)
-    assert done.returncode == 0, done.stderr
-    return folder
-
-
-def test_the_service_designs_the_excitation_that_the_command_designs(
-    service, fitted, designed, tmp_path
-):
-    """Its episodes are those of the case folder, and every file agrees."""
-    command(service, "excite", "chapter", "--out", str(tmp_path / "there"), *DESIGN)
-    for name in ("excitation.csv", "excitation.mcap", "excitation.json"):
-        assert (tmp_path / "there" / name).read_bytes() == (designed / name).read_bytes()
+def test_the_service_designs_the_excitation_that_the_command_designs(service, fitted, tmp_path):
+    """The named episodes are those of the case folder, and every file agrees."""
+    case = tmp_path / "case"
+    case.mkdir()
+    for name in ("plant.json", "adaptation.mcap"):
+        (case / name).write_bytes((CHAPTER / name).read_bytes())
+    options = ("--spread", "0.2", "--duration-s", "2", "--seed", "3")
+    command(service, "excite", str(case), "--out", str(tmp_path / "here"), *options)
+    digest = hashlib.sha256((case / "adaptation.mcap").read_bytes()).hexdigest()
+    request = {"kind": "excite", "spread": 0.2, "duration_s": 2.0, "seed": 3, "episodes": [digest]}
     with Client(service.url) as client:
-        report = next(client.jobs("chapter"))["result"]["report"]
+        job = client.wait(client.submit("chapter", request)["id"])
+        report = job["result"]["report"]
+        for name in ("excitation.csv", "excitation.mcap", "excitation.json"):
+            assert client.output(job["id"], name) == (tmp_path / "here" / name).read_bytes()
     assert report["breaches"] == 0
     assert "drawn" not in report
-    design = json.loads((designed / "excitation.json").read_text())
+    design = json.loads((tmp_path / "here" / "excitation.json").read_text())
     assert report["check_first"] == design["check_first"]
+    command(service, "excite", "chapter", "--out", str(tmp_path / "there"), *options)
     page = (tmp_path / "there" / "report.html").read_text()
     assert page.count('<svg class="curves"') == 1 + 2  # the command, position and velocity
     assert "hand on an emergency stop" in page

@@ -26,8 +26,7 @@ for _package in OURS:
     for _module in pkgutil.walk_packages(
         importlib.import_module(_package).__path__, f"{_package}."
     ):
-        if not _module.name.endswith((".main", ".__main__")):
-            importlib.import_module(_module.name)
+        importlib.import_module(_module.name)
 compile_all()
 warm()
 gc.collect()

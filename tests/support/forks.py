@@ -22,14 +22,10 @@ from multiprocessing.reduction import DupFd
 from pathlib import Path
 from typing import Any
 
-# what the command imports, without its own modules
+# what the command imports of others; the last one loads what is ours
 PRELOADED = [
     "cyclopts", "dbos", "fastapi", "numba", "obstore", "psycopg", "rich.console", "rich.progress",
-    "rich.table", "uvicorn", "uvloop",
-    "trueup.gate.recompute", "trueup_client", "trueup_service.http.app",
-    "trueup_service.http.serve", "trueup_service.authentication",
-    "trueup_service.logs", "trueup_worker.main", "trueup_worker.run_job",
-    "tests.support.fork_server",
+    "rich.table", "uvicorn", "uvloop", "tests.support.fork_server",
 ]  # fmt: skip
 # which says what its own are forked from; where tests run, they are forked from the same
 importlib.import_module("trueup_worker.compute_process")

@@ -21,7 +21,7 @@ from typing import Any
 
 NO_ANSWER = "no-answer"
 ATTEMPTS = 2  # at a case, of which the second is in a new process
-# What a process needs to find its libraries and its cache.
+# What a process needs to find its libraries and its cache, and how many threads a matrix takes.
 PASSED_ON = ("PATH", "HOME", "TMPDIR", "NUMBA_CACHE_DIR", "OPENBLAS_NUM_THREADS", "LANG")
 
 

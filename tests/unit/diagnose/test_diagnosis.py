@@ -388,7 +388,8 @@ def test_where_impacts_make_whole_windows_too_rough_for_a_proof_shorter_ones_pro
 def test_a_log_that_declares_no_stage_is_judged_by_what_it_leaves(unexplained):
     """What no effect explains exactly is a machine's, unless the log says that it is not."""
     plant, episodes, found = unexplained
-    assert found.document["evidence"]["judged_as"] == "simulator"
+    exact = found.document
+    assert (exact["verdict"], exact["evidence"]["judged_as"]) == ("unknown_effect", "simulator")
     undeclared = [replace(e, conditions={}) for e in episodes]
     assert diagnose(plant, undeclared).document["evidence"]["judged_as"] == "machine"
     plant, episodes, _ = recorded("A1", ["coulomb_friction"], 3)

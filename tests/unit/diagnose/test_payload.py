@@ -1,7 +1,6 @@
 """A mass on a link, told from the numbers that it moves."""
 
 import math
-import re
 
 import mujoco
 import pytest
@@ -73,12 +72,10 @@ def test_other_numbers_are_no_payload(arm, change):
 
 
 def test_a_report_names_the_mass_and_its_link(arm):
-    lower = carrying("lower", 0.5, [0.25, 0, 0])
-    episodes = recorded(arm, lower, range(3), ROLES[-3:], seconds=4.0)
+    episodes = recorded(arm, carrying("lower", 0.5, [0.25, 0, 0]), range(4), ROLES, seconds=4.0)
     document = diagnose(arm, episodes).document
     assert document["verdict"] == "parameters_only"
     assert document["payload"]["links"] == ["elbow"]
     low, high = document["payload"]["mass"]["ci95"]
     assert low < 0.5 < high
-    told = r"kg more on the link of elbow, 0\.2[45]\d? m from the axis of its joint"
-    assert re.search(told, sentence(document))
+    assert "kg more on the link of elbow, 0.25 m from the axis of its joint" in sentence(document)

@@ -22,6 +22,7 @@ PARENT = os.getpid()
 @pytest.fixture(autouse=True)
 def two_cores(monkeypatch):
     monkeypatch.setattr("trueup.cores.own_cores", lambda: [0, 1])
+    monkeypatch.setattr("trueup.cores._at_most", [])
     cores.cores.cache_clear()
     yield
     cores.cores.cache_clear()
