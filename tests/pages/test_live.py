@@ -160,11 +160,15 @@ def test_a_page_that_nobody_looks_at_gives_its_stream_back(seat):
     assert "after=" in again.value.url  # it hears what it missed
 
 
+def stream_of(service, token=ADMIN, query="", timeout_s=60):
+    """The stream of events, as a browser asks for it."""
+    headers = {"Authorization": f"Bearer {token}"}
+    asked = urllib.request.Request(f"{service.url}/live{query}", headers=headers)
+    return urllib.request.urlopen(asked, timeout=timeout_s)
+
+
 def events(service, token, query=""):
-    request = urllib.request.Request(
-        f"{service.url}/live{query}", headers={"Authorization": f"Bearer {token}"}
-    )
-    with urllib.request.urlopen(request, timeout=10) as stream:
+    with stream_of(service, token, query, timeout_s=10) as stream:
         kind = ""
         for line in stream:
             name, _, value = line.decode().strip().partition(": ")
@@ -185,9 +189,7 @@ def admin(service):
 
 
 def test_a_stream_goes_on_with_what_happens(service, admin, tmp_path):
-    headers = {"Authorization": f"Bearer {ADMIN}"}
-    asked = urllib.request.Request(f"{service.url}/live", headers=headers)
-    with urllib.request.urlopen(asked, timeout=60) as stream:
+    with stream_of(service) as stream:
         lines = iter(stream.readline, b"")
         assert b"event: at\n" in lines  # it has begun
         uploaded(admin, tmp_path, 1)
@@ -212,14 +214,11 @@ def test_what_happens_elsewhere_hides_nothing_of_a_plant(service, admin):
 
 def test_a_server_that_is_told_to_stop_ends_its_streams(tmp_path):
     service = Service(embedded(tmp_path))
-    with service.running(worker=False):
-        headers = {"Authorization": f"Bearer {ADMIN}"}
-        asked = urllib.request.Request(f"{service.url}/live", headers=headers)
-        with urllib.request.urlopen(asked, timeout=60) as stream:
-            lines = iter(stream.readline, b"")
-            assert next(lines) == b"retry: 3000\n"
-            assert b"event: at\n" in lines  # it has begun
-            began = time.monotonic()
-            service.stop()
-            assert time.monotonic() - began < GRACE_S
-            assert stream.read().endswith(b"\n\n")
+    with service.running(worker=False), stream_of(service) as stream:
+        lines = iter(stream.readline, b"")
+        assert next(lines) == b"retry: 3000\n"
+        assert b"event: at\n" in lines  # it has begun
+        began = time.monotonic()
+        service.stop()
+        assert time.monotonic() - began < GRACE_S
+        assert stream.read().endswith(b"\n\n")
