@@ -5,6 +5,7 @@ Commands import what they need when they run, so that `--help` is quick.
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 
@@ -184,6 +185,7 @@ def main() -> None:
             asked = next(iter(sys.argv[1:]), "")
             if asked in _COMMANDS:
                 explain_wholly(asked)
+            gc.freeze()  # what was loaded stays, so no collection need look through it
             app()
         finally:
             sys.stdout.flush()

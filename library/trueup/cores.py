@@ -56,6 +56,13 @@ def use_one() -> None:
 
 
 def in_parallel(work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
-    """Map over threads, in order. Compiled code holds no lock, so it runs on all cores."""
+    """Map over threads, in order. Compiled code holds no lock, so it runs on all cores.
+
+    One core, or one item, needs no further thread: to hand over and wait takes longer than much of
+    what is mapped.
+    """
+    if min(cores(), len(items)) <= 1:
+        yield from map(work, items)
+        return
     with ThreadPoolExecutor(cores()) as pool:
         yield from pool.map(work, items)

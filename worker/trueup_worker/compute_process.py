@@ -8,6 +8,7 @@ system. The process ends when its worker does.
 from __future__ import annotations
 
 import faulthandler
+import gc
 import json
 import logging
 import multiprocessing
@@ -183,6 +184,7 @@ def _serve(
     os.environ.update(telemetry)
     open_telemetry.start(WORKER)
     one_arena()
+    gc.freeze()  # what was loaded stays, so no collection need look through it
     if core is not None and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {core})
         cores.cache_clear()
