@@ -161,12 +161,14 @@ def _rolled(_: Dynamics, model: Model, state: Array, issued: Array) -> Array:
 
 @_rolled.register
 def _rolled_joint(_: CompiledFamily, model: Model, state: Array, issued: Array) -> Array:
-    stepper, many = StepFunction.of(model.predictor), len(issued)
+    step_function, many = StepFunction.of(model.predictor), len(issued)
     samples = []
-    now = stepper.begin([np.full(many, state[0])], [np.full(many, state[1])], [issued[:, 0, 0]])
+    now = step_function.begin(
+        [np.full(many, state[0])], [np.full(many, state[1])], [issued[:, 0, 0]]
+    )
     # A model that runs away answers with inf or nan.
     with np.errstate(over="ignore", invalid="ignore"):
         for u in np.moveaxis(issued, 1, 0):
-            seen, now = stepper.step(now, list(u.T))
+            seen, now = step_function.step(now, list(u.T))
             samples.append(np.stack(seen, axis=1))
     return np.stack(samples, axis=1)

@@ -36,11 +36,11 @@ def to_onnx(
     `artifact`, and holds what a `diagnosis` says of it. Raises NotExportable of a simulator,
     NotInstalled without the package onnx."""
     onnx = _package()
-    stepper = StepFunction.of(predictor)
-    graph, names = Graph(onnx), stepper.names
+    step_function = StepFunction.of(predictor)
+    graph, names = Graph(onnx), step_function.names
     state = {name: graph.column("state", i) for i, name in enumerate(names)}
-    commands = [graph.column("command", i) for i in range(len(stepper.plant.layout.commands))]
-    seen, after = stepper.step(state, commands)
+    commands = [graph.column("command", i) for i in range(len(step_function.plant.layout.commands))]
+    seen, after = step_function.step(state, commands)
     like = state[names[0]]
     graph.output(seen, like, "observation")
     graph.output([after[name] for name in names], like, "next_state")
@@ -68,7 +68,7 @@ def to_onnx(
         opset_imports=[onnx.helper.make_opsetid("", OPERATOR_SET)],
         producer_name="trueup",
     )
-    onnx.helper.set_model_props(model, _metadata(stepper, artifact, diagnosis))
+    onnx.helper.set_model_props(model, _metadata(step_function, artifact, diagnosis))
     onnx.checker.check_model(model, full_check=True)
     return bytes(model.SerializeToString(deterministic=True))
 
@@ -84,10 +84,10 @@ def _package() -> ModuleType:
 
 
 def _metadata(
-    stepper: StepFunction, artifact: str, diagnosis: Mapping[str, Json] | None
+    step_function: StepFunction, artifact: str, diagnosis: Mapping[str, Json] | None
 ) -> dict[str, str]:
     """The metadata of the columns."""
-    plant, layout = stepper.plant, stepper.plant.layout
+    plant, layout = step_function.plant, step_function.plant.layout
     metadata: dict[str, Json] = {
         "schema": SCHEMA,
         "plant": plant.name,
@@ -95,14 +95,14 @@ def _metadata(
         "period_s": plant.timestep_s,
         "state": [
             {"name": name, "begins": _sum_in_words(of), "of": dict(of)}
-            for name, of in _beginnings(stepper).items()
+            for name, of in _beginnings(step_function).items()
         ],
         "command": [
             {
                 "name": c.name,
                 "unit": c.unit,
                 "limits": list(c.limits or ()),
-                "of": _within_limits(stepper.labels[plant.joint_of(c)]),
+                "of": _within_limits(step_function.labels[plant.joint_of(c)]),
             }
             for c in layout.commands
         ],
@@ -115,16 +115,16 @@ def _metadata(
     }
 
 
-def _beginnings(stepper: StepFunction) -> dict[str, dict[str, float]]:
+def _beginnings(step_function: StepFunction) -> dict[str, dict[str, float]]:
     """What each entry of a state begins as: the factors of positions, velocities and commands
     within their limits, in which it is linear."""
-    labels = stepper.labels
+    labels = step_function.labels
     names = [
         *(f"{POSITION}{label}" for label in labels),
         *(f"{VELOCITY}{label}" for label in labels),
         *map(_within_limits, labels),
     ]
-    begun = stepper.begin_held(*map(list, np.split(np.eye(len(names)), 3)))
+    begun = step_function.begin_held(*map(list, np.split(np.eye(len(names)), 3)))
     return {
         name: {of: float(x) for of, x in zip(names, factors, strict=True) if x}
         for name, factors in begun.items()

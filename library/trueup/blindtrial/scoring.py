@@ -86,8 +86,8 @@ def _folded(of: Iterable[str | Mapping[str, Any]]) -> frozenset[str]:
     return frozenset(names)
 
 
-def _are_twins(differing: frozenset[str]) -> bool:
-    """Whether two answers differ in nothing but twins at one joint."""
+def _are_indistinguishable(differing: frozenset[str]) -> bool:
+    """Whether two answers differ in nothing but indistinguishable effects at one joint."""
     parts = [name.partition(" at ") for name in differing]
     return (
         len({joint for _, _, joint in parts}) == 1
@@ -106,10 +106,12 @@ def score_answer(label: Mapping[str, Any], answer: Answer) -> dict[str, Json]:
         exact = in_set = answer.verdict == "unknown_effect"
     else:
         claimed = answer.verdict == "effect"
-        exact = claimed and (named == truth or (truth in others and _are_twins(named ^ truth)))
+        exact = claimed and (
+            named == truth or (truth in others and _are_indistinguishable(named ^ truth))
+        )
         in_set = claimed and (exact or truth in others)
     taken = bool(label["bait"]) and named >= _folded([label["bait"]])
-    excess = {o for o in others - {truth} if not _are_twins(o ^ named)}
+    excess = {o for o in others - {truth} if not _are_indistinguishable(o ^ named)}
     return {"exact": exact, "in_set": in_set, "alternatives": len(excess), "bait_taken": taken}
 
 

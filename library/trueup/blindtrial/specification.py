@@ -105,7 +105,7 @@ def _joints_for(plant: Plant, name: str, absorbed: Sequence[str]) -> list[int]:
 
 
 def _apart(one: str, other: str) -> bool:
-    """Whether two effects are two: neither the same, nor of one law, nor twins."""
+    """Whether two effects are two: neither the same, nor of one law, nor indistinguishable."""
     laws = {effects()[n].same_as or n for n in (one, other)}
     return len(laws) == 2 and frozenset((one, other)) not in ALIASES  # noqa: PLR2004
 

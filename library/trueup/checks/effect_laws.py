@@ -187,7 +187,9 @@ def its_value_is_found_again(effect: type[Effect]) -> None:
     begin[row] = begin[row] * (0.8 if effect.falls else 1.2) + 1e-3 * SCALES.of(number.scale)
     others = [(effect.name, n.name) for n in effect.params[1:]]
     family = [("", name) for name in PLANT.dynamics.parameter_names]
-    if effect.zoomed:  # the error is flat between corners: ever finer grids find it, as a search's
+    if (
+        effect.grid_refined
+    ):  # the error is flat between corners: ever finer grids find it, as a search's
         middle, half, fit = 1.0 + OFF_GRID, 0.2, None
         for _ in range(ZOOMS):
             tried = [

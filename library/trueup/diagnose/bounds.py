@@ -109,7 +109,7 @@ def _bound(search: Search, screened: Screening, fit: RolloutFit, term: str, plan
         return Bound(name, where, number.name, value, True, measure, "" if last else blind(effect))
     limits = (np.abs(screened.factor) + error) * starts
     if (
-        effect.zoomed
+        effect.grid_refined
     ):  # small ones do not grow in proportion: what would have been seen whole bounds
         limits = np.where(limits < starts, starts, np.inf)
     shapes: dict[tuple[float, ...], float] = {}

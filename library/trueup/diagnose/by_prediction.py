@@ -1,5 +1,5 @@
-"""By prediction: the choice held to the yardstick that the report shows, the error of predictions
-of held-out episodes that start from a filter.
+"""By prediction: candidates judged as the report judges them, by the error of predictions of
+held-out episodes that start from a filter.
 
 A search fits with free starts of windows, which may hide in them what a prediction has to foresee.
 So of compositions that the evidence does not tell apart the one that predicts best is the answer,
@@ -42,9 +42,9 @@ from trueup.model.series import Scheme
 
 
 @dataclass(frozen=True)
-class Yardstick:
-    """What turns candidates of a search into predictors, and measures them. A predictor is `made`
-    once, for its filter takes many rollouts."""
+class Predictors:
+    """The predictors of a search's candidates, and their errors on held-out episodes. A predictor
+    is `made` once, for its filter takes many rollouts."""
 
     recordings: Recordings
     quality: DataQuality
@@ -92,11 +92,11 @@ class Yardstick:
         """Whether a refit of a candidate predicts much worse than the candidate itself, or worse
         than the nominal model or its refitted form, and the candidate does not."""
         before, after = self.error(candidate), self.of(refitted)
-        limit = SELECTION.no_better * min(self.nominal, self.error(self.search.base))
+        limit = SELECTION.no_better * min(self.nominal_error, self.error(self.search.base))
         return before < SELECTION.much_better * after or before <= limit < after
 
     @cached_property
-    def nominal(self) -> float:
+    def nominal_error(self) -> float:
         """The error of the nominal model."""
         return self.of(Nominal(self.recordings.plant))
 
@@ -128,7 +128,7 @@ class Yardstick:
         return bool(stats.wilcoxon(gained, alternative="greater").pvalue < SELECTION.chance)
 
 
-def nominal_predictor(plant: Plant, same_numbers: Predictor, yardstick: Yardstick) -> Corrected:
+def nominal_predictor(plant: Plant, same_numbers: Predictor, predictors: Predictors) -> Corrected:
     """The nominal numbers as a corrected model: started from a filter, or from what was observed
     last, whichever predicts better."""
     observed = np.zeros((len(plant.joints), 4, 2))  # of position, velocity, disturbance, lag
@@ -138,10 +138,10 @@ def nominal_predictor(plant: Plant, same_numbers: Predictor, yardstick: Yardstic
     )
     if not isinstance(same_numbers, Corrected):
         return from_observed
-    return min((same_numbers, from_observed), key=yardstick.of)
+    return min((same_numbers, from_observed), key=predictors.of)
 
 
-def best_of_the_alike(choice: Choice, yardstick: Yardstick) -> Choice:
+def best_of_the_alike(choice: Choice, predictors: Predictors) -> Choice:
     """The choice, its answer exchanged for that alternative which predicts much better; on a
     machine also for one that predicts about as well with fewer numbers.
 
@@ -150,53 +150,53 @@ def best_of_the_alike(choice: Choice, yardstick: Yardstick) -> Choice:
     alike = [choice.winner, *choice.rivals[: SELECTION.most_measured]]
     if len(alike) == 1:
         return choice
-    errors = np.array(yardstick.errors(alike))
+    errors = np.array(predictors.errors(alike))
     best = int(np.argmin(errors))
     if not errors[best] < SELECTION.much_better * errors[0]:
         best = 0
-    if yardstick.recordings.criteria.of_machine:
+    if predictors.recordings.criteria.of_machine:
         near = np.flatnonzero(SELECTION.much_better * errors <= errors.min())
         best = int(min(near, key=lambda i: (numbers_of(alike[i]), i != best)))
     others = (choice.winner, *(r for r in choice.rivals if r is not alike[best]))
     return replace(choice, winner=alike[best], rivals=others if best else choice.rivals)
 
 
-def without_idle(choice: Choice, yardstick: Yardstick) -> Choice:
+def without_idle(choice: Choice, predictors: Predictors) -> Choice:
     """The choice without effects of a machine that fit what is peculiar to some recordings: those
     denied by their own intervals without which predictions are about as good, and those that the
     predictions of most windows do not miss."""
     winner = choice.winner
-    if choice.verdict is not Conclusion.EFFECT or not yardstick.recordings.criteria.of_machine:
+    if choice.verdict is not Conclusion.EFFECT or not predictors.recordings.criteria.of_machine:
         return choice
     for denied in _denied(winner):
-        smaller = _without(winner, {denied}, yardstick)
+        smaller = _without(winner, {denied}, predictors)
         if smaller is None:
             continue
-        errors = yardstick.errors([winner, smaller])
+        errors = predictors.errors([winner, smaller])
         if SELECTION.much_better * errors[1] <= errors[0]:
-            return without_idle(_smaller(choice, smaller, yardstick), yardstick)
+            return without_idle(_smaller(choice, smaller, predictors), predictors)
     for name in dict.fromkeys(kind(t).name for t in winner.hypothesis.effects):
         alike = {t for t in winner.hypothesis.effects if kind(t).name == name}
-        smaller = _without(winner, alike, yardstick)
-        if smaller is not None and not yardstick.misses(smaller, winner):
-            return without_idle(_smaller(choice, smaller, yardstick), yardstick)
+        smaller = _without(winner, alike, predictors)
+        if smaller is not None and not predictors.misses(smaller, winner):
+            return without_idle(_smaller(choice, smaller, predictors), predictors)
     return choice
 
 
-def _without(winner: Candidate, terms: set[str], yardstick: Yardstick) -> Candidate | None:
+def _without(winner: Candidate, terms: set[str], predictors: Predictors) -> Candidate | None:
     """A composition without some of its terms, None where nothing is left of it."""
     rest = winner.hypothesis
     for t in terms:
         rest = rest.without(t)
-    return yardstick.search.fitted(rest, winner) if rest.effects else None
+    return predictors.search.fitted(rest, winner) if rest.effects else None
 
 
-def _smaller(choice: Choice, winner: Candidate, yardstick: Yardstick) -> Choice:
+def _smaller(choice: Choice, winner: Candidate, predictors: Predictors) -> Choice:
     """The choice with a part of its answer as the answer, which is partial where it leaves more
     than an answer may."""
     rivals = tuple(r for r in choice.rivals if r.hypothesis != winner.hypothesis)
-    left = max(choice.left, left_of(winner, yardstick.search.base))
-    partial = choice.partial or left > yardstick.recordings.criteria.unexplained
+    left = max(choice.left, left_of(winner, predictors.search.base))
+    partial = choice.partial or left > predictors.recordings.criteria.unexplained
     return replace(choice, winner=winner, rivals=rivals, left=left, partial=partial)
 
 
@@ -225,17 +225,17 @@ def predicts_worse(gap: Gap) -> bool:
     return gap.after > SELECTION.no_better * min(gap.before, gap.same_numbers, gap.parameters_only)
 
 
-def fallback(choice: Choice, yardstick: Yardstick, least: float) -> tuple[Choice, bool]:
+def fallback(choice: Choice, predictors: Predictors, least: float) -> tuple[Choice, bool]:
     """The candidate that predicts best where the answer predicts worse than the nominal model or
     its refitted form, whose smaller error is `least`; and whether it predicts better than that.
 
     It is no answer: it is the nearest to one.
     """
-    search = yardstick.search
+    search = predictors.search
     sound = sorted((c for c in search if np.isfinite(c.total)), key=lambda c: c.total)
     some = [c for c in sound if c.hypothesis != choice.winner.hypothesis]
     nearest = [*some[: SELECTION.most_measured], search.base]
-    errors = yardstick.errors(nearest)
+    errors = predictors.errors(nearest)
     best = int(np.argmin(errors))
     chosen = nearest[best]
     left = left_of(chosen, search.base)

@@ -13,7 +13,7 @@ from trueup.cores import in_parallel
 from trueup.diagnose.between_recordings import Agreement, agreement
 from trueup.diagnose.bounds import bounds
 from trueup.diagnose.by_prediction import (
-    Yardstick,
+    Predictors,
     best_of_the_alike,
     fallback,
     nominal_predictor,
@@ -176,31 +176,31 @@ def _diagnosis(
     quality, adaptation = explored.searched.quality, recordings.adaptation
     validation = recordings.validation
     selection = _Selection(recordings, search)
-    yardstick = Yardstick(recordings, quality, search)
-    choice = best_of_the_alike(selection.choice(), yardstick)
-    choice = without_idle(choice, yardstick)
-    choice = second_look(choice, yardstick)
-    choice = certain_of_the_rest(choice, yardstick)
+    predictors = Predictors(recordings, quality, search)
+    choice = best_of_the_alike(selection.choice(), predictors)
+    choice = without_idle(choice, predictors)
+    choice = second_look(choice, predictors)
+    choice = certain_of_the_rest(choice, predictors)
     nominal, problem = selection.nominal, search.problem
     progress("measuring on held-out episodes", 0.0)
     refit = final_refit(recordings, problem, choice.winner)
-    predictor = yardstick.corrected(refit.answer.fit, refit.scheme)
-    if yardstick.is_spoilt(predictor, choice.winner):
+    predictor = predictors.corrected(refit.answer.fit, refit.scheme)
+    if predictors.is_spoilt(predictor, choice.winner):
         refit = FinalRefit.none(problem, choice.winner)
-        predictor = yardstick.corrected(refit.answer.fit, refit.scheme)
-    refitted = yardstick.corrected(search.base.fit)
-    same = yardstick.predictor(nominal, refit.scheme) or Nominal(plant)
+        predictor = predictors.corrected(refit.answer.fit, refit.scheme)
+    refitted = predictors.corrected(search.base.fit)
+    same = predictors.predictor(nominal, refit.scheme) or Nominal(plant)
     noise = Noise(quality.noise, quality.correlation)
     measured = partial(measure, Nominal(plant), same, refitted)
     gap = measured(predictor, validation, noise, seed)
     choice, served = agreeing(choice, gap), Served.CORRECTED
     if predicts_worse(gap):
         least = min(gap.before, gap.same_numbers, gap.parameters_only)
-        choice, better = fallback(choice, yardstick, least)
+        choice, better = fallback(choice, predictors, least)
         refit = FinalRefit.none(problem, choice.winner)
-        nearest = yardstick.predictor(choice.winner.fit) if better else None
+        nearest = predictors.predictor(choice.winner.fit) if better else None
         served = Served.CORRECTED if nearest is not None else Served.NOMINAL
-        predictor = nearest or nominal_predictor(plant, same, yardstick)
+        predictor = nearest or nominal_predictor(plant, same, predictors)
         gap = measured(predictor, validation, noise, seed)
     progress("whether recordings agree", 0.0)
     agreed = Agreement()
@@ -235,7 +235,7 @@ def _diagnosis(
         else None,
         where=locate(plant, search, choice.winner, nominal, adaptation, validation),
         experiment=experiment,
-        witnessed=recordings.witnesses,
+        drives=recordings.drives,
         put_aside=recordings.put_aside,
         judged_as=recordings.judged_as,
         episodes=episodes,

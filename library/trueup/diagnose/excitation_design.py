@@ -180,15 +180,16 @@ def _candidates(
 def _noise(plant: Plant, episodes: Sequence[Episode], report: Mapping[str, Any]) -> Array:
     """The noise of each observation `(observations,)`.
 
-    It is the diagnosis's estimate, enlarged by its misfit; else as recorded, or QUIET.
+    It is the diagnosis's estimate, enlarged by the root of its reduced chi-square; else as
+    recorded, or QUIET.
     """
     quiet = QUIET * plant.scales
     if report:
         noise = np.array(
             [report["evidence"]["noise"][c.name] for c in plant.layout.observations], float
         )
-        misfit = np.sqrt(max(report["evidence"].get("misfit") or 1.0, 1.0))
-        return np.asarray(misfit * np.where(np.isfinite(noise) & (noise > 0.0), noise, quiet))
+        enlarged = np.sqrt(max(report["evidence"].get("misfit") or 1.0, 1.0))
+        return np.asarray(enlarged * np.where(np.isfinite(noise) & (noise > 0.0), noise, quiet))
     if not episodes:
         return quiet
     measured = assess(plant, episodes).noise[plant.state_columns]

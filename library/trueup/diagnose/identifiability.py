@@ -131,7 +131,7 @@ def identifiability_of(
 def identifiability(recordings: Recordings, problem: SearchProblem) -> Identifiability:
     """What the recordings of a search problem can show of its numbers and effects.
 
-    Of the misfit that the nominal form leaves, the part that an answer may leave counts as noise.
+    Of the error that the nominal form leaves, the part that an answer may leave counts as noise.
     """
     plant, terms, base = recordings.plant, recordings.terms, problem.base
     near = problem.short_fit(base)
@@ -202,7 +202,7 @@ def _effect(
     if effect.falls:
         weakest = float(starts[seen].max()) if seen.any() else None
         part = float(hidden.min())
-    elif effect.zoomed:  # it does not grow in proportion: a guess is told as it is, or not
+    elif effect.grid_refined:  # it does not grow in proportion: a guess is told as it is, or not
         weakest = float(starts[seen].min()) if seen.any() else None
         part = float(hidden.min())
     else:  # from the smallest guess that shows: an effect need not grow in proportion
@@ -214,7 +214,7 @@ def _effect(
             weakest = float(smallest * np.min(hidden[visible & (starts == smallest)]))
     like = int(np.argmin(hidden))
     ties: tuple[str, ...] = ()
-    if screened.like[like] >= 0 and screened.likeness[like] > EVIDENCE.tied:
+    if screened.like[like] >= 0 and screened.correlation[like] > EVIDENCE.tied:
         ties = (problem.base.free.names[screened.like[like]][1],)
     level = Shown.NOT
     if weakest is not None:

@@ -77,7 +77,7 @@ def half_widths(fit: RolloutFit, other: RolloutFit) -> dict[Name, float]:
     """Half of each 95 % interval of one minimum, by (effect or "", parameter)."""
     if not len(fit.free.rows):
         return {}
-    rest = np.array([t == "" or kind(t).zoomed != n for t, n in fit.free.names])
+    rest = np.array([t == "" or kind(t).grid_refined != n for t, n in fit.free.names])
     at = fit.free.at(fit.values)
     grid = np.where(rest, 0.0, 2.0 * SEARCH.grids[-1] * at)
     inverse = _inverse(fit.information[np.ix_(rest, rest)])
@@ -120,7 +120,7 @@ def covariance(fit: RolloutFit) -> Array:
 def inverse_information(fit: RolloutFit) -> Array:
     """Covariance of a fit's free numbers where noise is all that is left, `(free, free)`; 0 for a
     number that is sought on a grid."""
-    rest = np.array([t == "" or kind(t).zoomed != n for t, n in fit.free.names])
+    rest = np.array([t == "" or kind(t).grid_refined != n for t, n in fit.free.names])
     inverse = np.zeros((len(rest), len(rest)))
     inverse[np.ix_(rest, rest)] = _inverse(fit.information[np.ix_(rest, rest)])
     return inverse

@@ -19,6 +19,7 @@ import numpy as np
 
 from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.data_quality import DataQuality
+from trueup.diagnose.measured_drive import MeasuredDrive, measured_drives
 from trueup.diagnose.model_selection import SelectionCriteria, selection_criteria
 from trueup.diagnose.search_problem import SearchProblem
 from trueup.diagnose.spatial_periods import spatial_periods
@@ -26,7 +27,6 @@ from trueup.diagnose.strategy import Strategy, strategy_for
 from trueup.diagnose.trimming import Stretch, without
 from trueup.diagnose.tuning import SETUP
 from trueup.diagnose.windowed_fits import WindowedFits
-from trueup.diagnose.witness import Witness, witnesses
 from trueup.doctor.examine import usable
 from trueup.doctor.finding import Finding
 from trueup.episode.episode import Episode
@@ -120,7 +120,7 @@ class Recordings:
     @cached_property
     def terms(self) -> list[str]:
         """Terms that are found by fitting the plant, but those that a logged effort denies."""
-        denied = {t for w in self.witnesses for t in w.denied}
+        denied = {t for d in self.drives for t in d.denied}
         terms = searchable([bool(c >= 0) for c in self.plant.command_columns])
         pushes = self.plant.dynamics.takes_force
         return [
@@ -130,9 +130,9 @@ class Recordings:
         ]
 
     @cached_property
-    def witnesses(self) -> list[Witness]:
+    def drives(self) -> list[MeasuredDrive]:
         """What logged efforts say of the drives."""
-        return witnesses(self.plant, self.every)
+        return measured_drives(self.plant, self.every)
 
     @property
     def window_s(self) -> float:

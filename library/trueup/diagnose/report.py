@@ -16,12 +16,12 @@ from trueup.diagnose.data_quality import DataQuality
 from trueup.diagnose.explain import counted
 from trueup.diagnose.identifiability import Identifiability
 from trueup.diagnose.measure import Gap
+from trueup.diagnose.measured_drive import MeasuredDrive
 from trueup.diagnose.model_selection import Choice, Conclusion
 from trueup.diagnose.next_experiment import Experiment
 from trueup.diagnose.payload import Payload
 from trueup.diagnose.search import Search
 from trueup.diagnose.trimming import Stretch
-from trueup.diagnose.witness import Witness
 from trueup.doctor.finding import Finding, documents
 from trueup.episode.episode import Episode
 from trueup.episode.layout import Hold
@@ -64,7 +64,7 @@ def report(
     unexcited: Sequence[Bound],
     shown: Identifiability,
     carried: Payload | None,
-    witnessed: Sequence[Witness],
+    drives: Sequence[MeasuredDrive],
     put_aside: Sequence[Stretch],
     judged_as: str,
     where: Mapping[str, Json],
@@ -133,7 +133,7 @@ def report(
                 for i, c in zip(plant.state_columns, plant.layout.observations, strict=True)
             },
             "judged_as": judged_as,
-            "witnesses": [w.document() for w in witnessed],
+            "witnesses": [d.document() for d in drives],
             "put_aside": [s.document() for s in put_aside],
             "holds": _holds(plant, search, ramps_leave),
             "convergence": _convergence(answer, *choice.rivals),
@@ -267,8 +267,8 @@ def _hypotheses(plant: Plant, search: Search, choice: Choice, nominal: RolloutFi
 
 
 def _row(plant: Plant, c: Candidate, winner: Candidate, *, in_set: bool) -> Json:
-    """One composition; `worse_ci95` is by how much its misfit on validation episodes exceeds the
-    answer's, from window to window."""
+    """One composition; `worse_ci95` is by how much its reduced chi-square on validation episodes
+    exceeds the answer's, from window to window."""
     worse = c.check.costs - winner.check.costs
     half = TWO_SIDED * float(np.sqrt(len(worse) * np.var(worse))) / c.check.samples
     return {

@@ -45,8 +45,8 @@ def noise_left(fits: WindowedFits, candidate: Candidate) -> list[ChannelNoise | 
 
 
 def noise_level(fits: WindowedFits, candidate: Candidate) -> float:
-    """The misfit that noise alone leaves a candidate on validation episodes, 1 but where those hold
-    more outliers than the rest."""
+    """The reduced chi-square that noise alone leaves a candidate on validation episodes, 1 but
+    where those hold more outliers than the rest."""
     power, count = 0.0, 0
     left = [(s, _residual(fits, candidate.check, s)) for s in fits.validation]
     for column, sigma in enumerate(fits.fitter.sigma):

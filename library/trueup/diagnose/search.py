@@ -138,7 +138,7 @@ class Search:
         hypothesis, values = candidate.hypothesis, candidate.fit.values.copy()
         for at in candidate.hypothesis.effects:
             effect = kind(at)
-            if effect.zoomed or effect.periodic or effect.port is Port.TIMING:
+            if effect.grid_refined or effect.periodic or effect.port is Port.TIMING:
                 return None
             rows = list(fitter.block.rows(at))
             for t in self.terms:

@@ -198,9 +198,9 @@ class SearchProblem:
             free = min(freed, key=lambda f: f.cost)
             best = free if is_worth_it(best, free) else best
         best = self.fits.pruned(best, [term])
-        zoomed = kind(term).zoomed
-        if zoomed and best.cost < parent_cost:
-            best = self._grid_refined(best, term, zoomed)
+        refined = kind(term).grid_refined
+        if refined and best.cost < parent_cost:
+            best = self._grid_refined(best, term, refined)
         return self.fits.candidate(best)
 
     def converge(self, candidate: Candidate) -> Candidate:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.cores import in_parallel
-from trueup.diagnose.by_prediction import Yardstick
+from trueup.diagnose.by_prediction import Predictors
 from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.measure import motion_of, squared_errors, windows_of
 from trueup.diagnose.model_selection import Choice, Conclusion, numbers_of
@@ -45,7 +45,7 @@ class Predicted:
         return float(self.errors.mean())
 
 
-def second_look(choice: Choice, yardstick: Yardstick) -> Choice:
+def second_look(choice: Choice, predictors: Predictors) -> Choice:
     """The choice, or that of a part that certainly acts: an effect without which predictions miss
     at least twice as much, on nearly every recording, and with which none that were held out are
     worse.
@@ -53,21 +53,21 @@ def second_look(choice: Choice, yardstick: Yardstick) -> Choice:
     Only where no composition was the answer, on a machine, and of one joint with some recordings to
     leave out.
     """
-    recordings, search = yardstick.recordings, yardstick.search
+    recordings, search = predictors.recordings, predictors.search
     strategy = recordings.strategy
     if choice.verdict is not Conclusion.UNKNOWN or not strategy.physical:
         return choice
     if strategy.robot:
-        return _of_robot(choice, yardstick)
+        return _of_robot(choice, predictors)
     if len({e.recording for e in recordings.adaptation}) < SECOND_LOOK.fewest:
         return choice
-    limit = SELECTION.no_better * min(yardstick.nominal, yardstick.error(search.base))
+    limit = SELECTION.no_better * min(predictors.nominal_error, predictors.error(search.base))
     singles = _likely_alone(search)
-    errors = yardstick.errors(singles)
+    errors = predictors.errors(singles)
     fair = [c for c, error in zip(singles, errors, strict=True) if error <= limit]
     if not fair:
         return choice
-    base, *ranked = predictions([search.base, *fair], yardstick)
+    base, *ranked = predictions([search.base, *fair], predictors)
     best = min(ranked, key=lambda p: p.total)
     left = best.total / max(base.total, 1e-300)
     if not _certainly_acts(best, base):
@@ -78,17 +78,17 @@ def second_look(choice: Choice, yardstick: Yardstick) -> Choice:
     return Choice(Conclusion.EFFECT, best.candidate, rivals, left, partial=partial)
 
 
-def certain_of_the_rest(choice: Choice, yardstick: Yardstick) -> Choice:
+def certain_of_the_rest(choice: Choice, predictors: Predictors) -> Choice:
     """The choice; where stretches were put aside, only one that certainly acts by predictions of
     every recording, for what is left of them was not chosen blindly. Of compositions that predict
     alike the one with the fewest numbers is the answer, and the others are alternatives.
     """
-    search, recordings = yardstick.search, yardstick.recordings
+    search, recordings = predictors.search, predictors.recordings
     if not recordings.put_aside or choice.verdict is not Conclusion.EFFECT:
         return choice
     named = [choice.winner, *choice.rivals[: SELECTION.most_measured]]
     others = [c for c in _likely_alone(search) if c not in named]
-    base, *ranked = predictions([search.base, *named, *others], yardstick)
+    base, *ranked = predictions([search.base, *named, *others], predictors)
     best = min(ranked, key=lambda p: p.total)
     if not _certainly_acts(best, base):
         return replace(choice, verdict=Conclusion.UNKNOWN, rivals=(), partial=False)
@@ -110,7 +110,7 @@ def _certainly_acts(part: Predicted, base: Predicted) -> bool:
     return part.total <= SECOND_LOOK.leaves * base.total and helps >= SECOND_LOOK.on_most
 
 
-def _of_robot(choice: Choice, yardstick: Yardstick) -> Choice:
+def _of_robot(choice: Choice, predictors: Predictors) -> Choice:
     """The choice, or that of one kind of effect, at whichever joints of a robot: of those with
     which held-out windows are certainly predicted better than by refitted parameters alone, the
     one that fits best; the others are alternatives where windows do not tell them from it.
@@ -118,50 +118,50 @@ def _of_robot(choice: Choice, yardstick: Yardstick) -> Choice:
     A robot's fits take long, so that none is made again; and its motions may be about to tip over,
     so that windows are compared by the logarithms of their errors.
     """
-    search, recordings = yardstick.search, yardstick.recordings
-    held_out, least = recordings.validation, yardstick.error(search.base)
-    limit = SELECTION.no_better * min(yardstick.nominal, least)
+    search, recordings = predictors.search, predictors.recordings
+    held_out, least = recordings.validation, predictors.error(search.base)
+    limit = SELECTION.no_better * min(predictors.nominal_error, least)
     alone = [c for c in search if len({kind(t) for t in c.hypothesis.effects}) == 1]
     alone = sorted(alone, key=lambda c: c.total)[: SECOND_LOOK.compositions]
     fair = [
         c
-        for c, error in zip(alone, yardstick.errors(alone), strict=True)
-        if error <= limit and yardstick.misses(search.base, c, held_out)
+        for c, error in zip(alone, predictors.errors(alone), strict=True)
+        if error <= limit and predictors.misses(search.base, c, held_out)
     ]
     if not fair or not np.isfinite(least):
         return choice
     best, *others = fair
-    left = (yardstick.error(best) / max(least, 1e-300)) ** 2
+    left = (predictors.error(best) / max(least, 1e-300)) ** 2
     if left > SECOND_LOOK.leaves:
         return choice
-    rivals = tuple(c for c in others if not yardstick.misses(c, best))
+    rivals = tuple(c for c in others if not predictors.misses(c, best))
     partial = left > recordings.criteria.unexplained
     return Choice(Conclusion.EFFECT, best, rivals, left, partial=partial)
 
 
-def predictions(candidates: Sequence[Candidate], yardstick: Yardstick) -> list[Predicted]:
+def predictions(candidates: Sequence[Candidate], predictors: Predictors) -> list[Predicted]:
     """What candidates predict of every recording."""
-    return list(in_parallel(lambda c: _predicted(c, yardstick), candidates))
+    return list(in_parallel(lambda c: _predicted(c, predictors), candidates))
 
 
-def _predicted(candidate: Candidate, yardstick: Yardstick) -> Predicted:
-    recordings = yardstick.recordings
+def _predicted(candidate: Candidate, predictors: Predictors) -> Predicted:
+    recordings = predictors.recordings
     by_recording: dict[str, list[Episode]] = {}
     for e in recordings.every:
         by_recording.setdefault(e.recording, []).append(e)
     fitted = {e.recording for e in recordings.adaptation}
-    whole = yardstick.predictor(candidate.fit)
+    whole = predictors.predictor(candidate.fit)
     errors = []
     for recording, episodes in by_recording.items():
-        predictor = _without(candidate, recording, yardstick) if recording in fitted else whole
+        predictor = _without(candidate, recording, predictors) if recording in fitted else whole
         errors.append(_error(predictor, episodes, recordings.every))
     return Predicted(candidate, np.array(errors))
 
 
-def _without(candidate: Candidate, recording: str, yardstick: Yardstick) -> Predictor | None:
+def _without(candidate: Candidate, recording: str, predictors: Predictors) -> Predictor | None:
     """The candidate's predictor, fitted without one recording."""
-    problem = yardstick.search.problem
-    parts = {e.digest for e in yardstick.recordings.adaptation if e.recording == recording}
+    problem = predictors.search.problem
+    parts = {e.digest for e in predictors.recordings.adaptation if e.recording == recording}
     data = [s for s in problem.adaptation if s.digest not in parts]
     at = candidate.fit
     fit = problem.fitter.fit(
@@ -172,7 +172,7 @@ def _without(candidate: Candidate, recording: str, yardstick: Yardstick) -> Pred
         iterations=SECOND_LOOK.iterations,
         fixed=problem.fits.resting(at.values, at.hypothesis.effects),
     )
-    return yardstick.predictor(fit) if np.isfinite(fit.cost) else None
+    return predictors.predictor(fit) if np.isfinite(fit.cost) else None
 
 
 def _error(

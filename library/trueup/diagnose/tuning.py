@@ -240,7 +240,7 @@ class SearchTuning:
     )
     plainly_better: float = number(
         0.6,
-        "of the misfit beyond noise",
+        "of the reduced chi-square beyond noise",
         "So much less a fit leaves where commands are ramps; an effect of the "
         "command leaves a tenth less, a sampled analogue signal two thirds.",
     )

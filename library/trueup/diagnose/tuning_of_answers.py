@@ -169,8 +169,8 @@ class PayloadTuning:
 
 
 @dataclass(frozen=True, slots=True)
-class WitnessTuning:
-    """When a logged effort witnesses what a drive does."""
+class DriveTuning:
+    """When a logged effort shows what a drive does."""
 
     follows: float = number(
         0.95, "correlation", "With the command; a servo's torque follows its error instead."
@@ -188,5 +188,5 @@ EXPERIMENT = ExperimentTuning()
 SECOND_LOOK = SecondLookTuning()
 TRIMMING = TrimmingTuning()
 PAYLOAD = PayloadTuning()
-WITNESS = WitnessTuning()
-GROUPS = (FILTER, EVIDENCE, EXPERIMENT, SECOND_LOOK, TRIMMING, PAYLOAD, WITNESS)
+DRIVE = DriveTuning()
+GROUPS = (FILTER, EVIDENCE, EXPERIMENT, SECOND_LOOK, TRIMMING, PAYLOAD, DRIVE)

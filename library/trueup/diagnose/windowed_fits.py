@@ -257,7 +257,7 @@ class WindowedFits:
 
 def _on_grids(fit: RolloutFit) -> Numbers:
     """The numbers of a fit that a grid finds, since the error is flat between its corners."""
-    return [(t, kind(t).zoomed) for t in fit.hypothesis.effects if kind(t).zoomed]
+    return [(t, kind(t).grid_refined) for t in fit.hypothesis.effects if kind(t).grid_refined]
 
 
 def trajectory(fitter: Fitter, fit: RolloutFit, s: Series) -> np.ndarray:

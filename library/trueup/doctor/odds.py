@@ -16,7 +16,7 @@ from trueup.doctor.balance import Balance
 from trueup.doctor.tuning import PRIOR
 
 
-def misfit(balance: Balance | None) -> float:
+def improbability(balance: Balance | None) -> float:
     """How improbable a joint's fitted numbers are [nats]: minus the logarithm of their probability
     over that of the nominal ones, bounded for each of them."""
     if balance is None:
@@ -25,7 +25,7 @@ def misfit(balance: Balance | None) -> float:
 
 
 def _off(ratio: float, error: float) -> float:
-    """The misfit of one number over its nominal value, which is known to two standard errors."""
+    """How improbable one number is: its ratio to the nominal one, known to two standard errors."""
     low, high = ratio - 2.0 * error, ratio + 2.0 * error
     nearest = min(max(1.0, low), high)
     if nearest <= 0.0:
@@ -45,12 +45,17 @@ def better_fit(before: Balance | None, after: Balance | None) -> float:
 
 def evidence(before: Iterable[Balance | None], after: Iterable[Balance | None]) -> float:
     """What the joints' numbers and residuals speak for the second explanation [nats]."""
-    return sum(misfit(b) - misfit(a) + better_fit(b, a) for b, a in zip(before, after, strict=True))
+    return sum(
+        improbability(b) - improbability(a) + better_fit(b, a)
+        for b, a in zip(before, after, strict=True)
+    )
 
 
 def sound(balance: Balance | None) -> bool:
     """Whether nothing about a joint is in want of an explanation."""
-    return balance is None or (balance.of_command > PRIOR.sound and misfit(balance) < PRIOR.little)
+    return balance is None or (
+        balance.of_command > PRIOR.sound and improbability(balance) < PRIOR.little
+    )
 
 
 def log_odds(nats: float, prior: float) -> float:

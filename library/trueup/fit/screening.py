@@ -32,14 +32,14 @@ class Screening:
     on it, and that factor's standard error.
 
     `like` is the free number of the parent that changes the rollouts most like the effect, -1 where
-    there is none, `likeness` the correlation of their estimates.
+    there is none, `correlation` that of their estimates.
     """
 
     cost: Array
     factor: Array
     error: Array
     like: NDArray[np.int64]
-    likeness: Array
+    correlation: Array
 
 
 def screen(
@@ -78,8 +78,8 @@ def screen(
         _screened(rollouts, task, parent, effect, guesses[i : i + room], derivatives)
         for i in range(0, len(guesses), room)
     ]
-    cost, factor, error, like, likeness = np.concatenate(parts, axis=1)
-    return Screening(rounded(cost), factor, error, like.astype(np.int64), likeness)
+    cost, factor, error, like, correlation = np.concatenate(parts, axis=1)
+    return Screening(rounded(cost), factor, error, like.astype(np.int64), correlation)
 
 
 def _screened(
@@ -116,15 +116,15 @@ def _screened(
         )
         by = inverse_part @ (gradient[columns] / size)
         gained = float(by @ (gradient[columns] / size)) if by[-1] > 0.0 else 0.0
-        if kind(effect).zoomed:  # it does not grow in proportion: as it is, or not at all
+        if kind(effect).grid_refined:  # it does not grow in proportion: as it is, or not at all
             rest, pulled = columns[:-1], gradient[columns[:-1]] - normal[columns[:-1], n + i]
             adapted = np.linalg.lstsq(normal[np.ix_(rest, rest)], pulled, rcond=None)[0]
             gained = 2.0 * gradient[n + i] - normal[n + i, n + i] + float(pulled @ adapted)
         if not inverse_part[-1, -1] > 0.0:  # by rounding: it is told from nothing
             continue
         error = np.sqrt(inverse_part[-1, -1]) / size[-1]
-        like, likeness = _likest(np.asarray(inverse_part))
-        expected[:, i] = parent.cost - gained, by[-1] / size[-1], error, like, likeness
+        like, correlation = _likest(np.asarray(inverse_part))
+        expected[:, i] = parent.cost - gained, by[-1] / size[-1], error, like, correlation
     return expected
 
 

@@ -133,7 +133,10 @@ class GateHistory:
         }
         tried = self._tried.setdefault(plant, set())
         self.expected[job] = ExpectedTrial(
-            [1 + sum(self._uses.get(twin, 0) for twin in self._twins(e)) for e in episodes],
+            [
+                1 + sum(self._uses.get(equal, 0) for equal in self._with_equal_samples(e))
+                for e in episodes
+            ],
             self._selection(plant, request),
             frozenset(rejected - own),
             frozenset(tried - own),
@@ -226,13 +229,15 @@ class GateHistory:
         )
         judged = {e for _, rejection in rejections for e in rejection.episodes}
         for episode in past.episodes:
-            twins = {t for t in self._twins(episode) if (plant, t) in self._ingested_at}
-            twins = twins or {episode}
-            if twins & judged or min(self._ingested_at.get((plant, t), 0) for t in twins) <= since:
+            equal = {
+                e for e in self._with_equal_samples(episode) if (plant, e) in self._ingested_at
+            }
+            equal = equal or {episode}
+            if equal & judged or min(self._ingested_at.get((plant, e), 0) for e in equal) <= since:
                 return False
         return True
 
-    def _twins(self, episode: str) -> set[str]:
+    def _with_equal_samples(self, episode: str) -> set[str]:
         """An episode and all others that hold the same samples."""
         samples = self._samples_of.get(episode, ())
         return {episode}.union(*(self._episodes_with[digest] for digest in samples))

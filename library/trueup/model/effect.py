@@ -124,7 +124,7 @@ class Effect(ABC):
     which a fit begins.
 
     `threshold` names the parameters along which the error has corners: their finite differences are
-    wider. `zoomed` is one between whose corners the error is flat: ever finer grids find it.
+    wider. `grid_refined` is one between whose corners the error is flat: ever finer grids find it.
     `counted` ones are found in the samples themselves, `periodic` ones by a scan along the travel;
     one that is the `same_as` another on every log is fitted as that one, and told as an alternative
     to it. A `late` one makes a topic late, as drives and buses of any machine may besides whatever
@@ -146,7 +146,7 @@ class Effect(ABC):
     memory: ClassVar[tuple[Scale, ...]] = ()
     starts: ClassVar[tuple[tuple[float, ...], ...]]
     threshold: ClassVar[tuple[str, ...]] = ()
-    zoomed: ClassVar[str] = ""
+    grid_refined: ClassVar[str] = ""
     # Numbers that stay at their null unless the log asks for them
     optional: ClassVar[tuple[str, ...]] = ()
     # Values from which those are tried, as in `starts`; without, from their nulls

@@ -55,7 +55,7 @@ class Signatures:
         """Every effect at every joint that a log cannot show by itself, and a family's own
         parameters."""
         joints = len(plant.joints)
-        shown = [e for e in effects().values() if not e.counted and not e.zoomed]
+        shown = [e for e in effects().values() if not e.counted and not e.grid_refined]
         signs = [
             Sign(term(e.name, j), s)
             for j in range(joints)

@@ -42,7 +42,8 @@ def _ranking(report: Mapping[str, Any]) -> str:
         for h in rows
     )
     return (
-        "<table><thead><tr><th>what explains it</th><th>misfit, held out</th><th></th></tr></thead>"
+        "<table><thead><tr><th>what explains it</th><th>reduced chi-square, held out</th>"
+        "<th></th></tr></thead>"
         f"<tbody>{cells}</tbody></table>"
     )
 

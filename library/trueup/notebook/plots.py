@@ -72,8 +72,8 @@ class Plots:
         return figure
 
     def ranking(self) -> Any:
-        """The compositions that were tried, by their misfit on held-out episodes, the answer
-        first."""
+        """The compositions that were tried, by their reduced chi-square on held-out episodes, the
+        answer first."""
         rows = ranked(self._diagnosis.report)[:MOST_RANKED]
         names = [
             fill(

@@ -178,15 +178,13 @@ def stale(
         since = max(
             since, tx.log.positions(other.plant, DECIDED, [other.digest]).get(other.digest, 0)
         )
-    twins = {e: tx.episodes.with_equal_samples(e, made.plant) for e in episodes}
-    came = tx.log.positions(
-        made.plant, INGESTED, sorted({twin for each in twins.values() for twin in each})
-    )
+    equal = {e: tx.episodes.with_equal_samples(e, made.plant) for e in episodes}
+    came = tx.log.positions(made.plant, INGESTED, sorted(set().union(*equal.values())))
     before = {e for other in rejected for e in _episodes(other)}
     return [
         e
-        for e, same in twins.items()
-        if same & before or min(came.get(twin, 0) for twin in same) <= since
+        for e, same in equal.items()
+        if same & before or min(came.get(each, 0) for each in same) <= since
     ]
 
 

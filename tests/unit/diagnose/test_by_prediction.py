@@ -9,7 +9,7 @@ import pytest
 from tests.support.simulated import recorded
 from trueup.diagnose import by_prediction
 from trueup.diagnose.by_prediction import (
-    Yardstick,
+    Predictors,
     best_of_the_alike,
     fallback,
     predicts_worse,
@@ -46,7 +46,7 @@ class Made:
 
 
 class Errors:
-    """A yardstick that knows errors."""
+    """Predictors whose errors are known."""
 
     def __init__(self, candidates=(), base=None, *, of_machine=False):
         criteria = SimpleNamespace(of_machine=of_machine, unexplained=0.15)
@@ -143,16 +143,16 @@ def test_an_effect_that_its_interval_denies_and_predictions_do_not_miss_is_left_
         return Fitted(hypothesis, 0.2 if needed <= set(hypothesis.effects) else 0.9)
 
     winner = Fitted(Hypothesis(("actuator_delay", "constant_force", "coulomb_friction")), 0.2)
-    yardstick = Errors(base=SimpleNamespace(reduced_chi_square=11.0), of_machine=True)
-    yardstick.search.fitted = fitted
+    predictors = Errors(base=SimpleNamespace(reduced_chi_square=11.0), of_machine=True)
+    predictors.search.fitted = fitted
     denied = ["coulomb_friction", "constant_force"]
     monkeypatch.setattr(
         by_prediction, "_denied", lambda c: [t for t in denied if t in c.hypothesis.effects]
     )
     choice = Choice(Conclusion.EFFECT, winner, (), 0.1)
-    assert set(without_idle(choice, yardstick).winner.hypothesis.effects) == needed
-    yardstick.recordings.criteria.of_machine = False
-    assert without_idle(choice, yardstick) is choice
+    assert set(without_idle(choice, predictors).winner.hypothesis.effects) == needed
+    predictors.recordings.criteria.of_machine = False
+    assert without_idle(choice, predictors) is choice
 
 
 @pytest.mark.parametrize(("left", "partial"), [(2.0, False), (6.0, True)])
@@ -166,12 +166,12 @@ def test_an_effect_that_most_windows_do_not_miss_is_left_out(monkeypatch, left, 
         reduced_chi_square: float = left
 
     monkeypatch.setattr(by_prediction, "_denied", lambda _: [])
-    yardstick = Errors(base=SimpleNamespace(reduced_chi_square=11.0), of_machine=True)
-    yardstick.search.fitted = lambda hypothesis, _: Fitted(hypothesis, 0.9)
-    yardstick.misses = lambda part, _: "coulomb_friction" not in part.hypothesis.effects
+    predictors = Errors(base=SimpleNamespace(reduced_chi_square=11.0), of_machine=True)
+    predictors.search.fitted = lambda hypothesis, _: Fitted(hypothesis, 0.9)
+    predictors.misses = lambda part, _: "coulomb_friction" not in part.hypothesis.effects
     terms = ("gain_asymmetry", "coulomb_friction", "gain_asymmetry@1", "coulomb_friction@1")
     choice = Choice(Conclusion.EFFECT, Fitted(Hypothesis(terms), 0.2), (), 0.05)
-    after = without_idle(choice, yardstick)
+    after = without_idle(choice, predictors)
     assert after.winner.hypothesis.effects == ("coulomb_friction", "coulomb_friction@1")
     assert after.left == pytest.approx((left - 1.0) / 10.0)
     assert after.partial is partial
@@ -186,17 +186,17 @@ def test_a_few_wild_windows_do_not_outvote_the_others(monkeypatch):
     monkeypatch.setattr(by_prediction, "knows_beginnings", lambda _: True)
     monkeypatch.setattr(by_prediction, "windows_of", lambda *_, **__: [])
     monkeypatch.setattr(by_prediction, "squared_errors", lambda p, *_: errors[p])
-    yardstick = Yardstick(
+    predictors = Predictors(
         SimpleNamespace(plant=SimpleNamespace(horizon_s=1.0), every=[]),
         SimpleNamespace(motion=None),
         None,
     )
-    monkeypatch.setattr(Yardstick, "predictor", lambda _, fit: fit)
+    monkeypatch.setattr(Predictors, "predictor", lambda _, fit: fit)
     of = {name: SimpleNamespace(fit=name) for name in errors}
-    assert not yardstick.misses(of["part"], of["wild"])
-    assert yardstick.misses(of["part"], of["better"])
+    assert not predictors.misses(of["part"], of["wild"])
+    assert predictors.misses(of["part"], of["better"])
     errors["part"] = errors["better"] = part[:3]
-    assert yardstick.misses(of["part"], of["better"])  # three windows cannot tell
+    assert predictors.misses(of["part"], of["better"])  # three windows cannot tell
 
 
 def test_an_interval_that_holds_no_effect_denies_it():

@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.simulated import recorded_twice
 from trueup.diagnose import second_look as module
-from trueup.diagnose.by_prediction import Yardstick
+from trueup.diagnose.by_prediction import Predictors
 from trueup.diagnose.data_quality import assess
 from trueup.diagnose.explore import explore
 from trueup.diagnose.model_selection import PHYSICAL, Choice, Conclusion
@@ -49,18 +49,18 @@ def looked(monkeypatch, made, *, physical=True, recordings=3, verdict=Conclusion
         module, "predictions", lambda candidates, _: [Predicted(c, c.errors) for c in candidates]
     )
     search = type("Search", (), {"base": base, "__iter__": lambda _: iter([base, *made])})()
-    yardstick = SimpleNamespace(
+    predictors = SimpleNamespace(
         search=search,
         recordings=SimpleNamespace(
             strategy=SimpleNamespace(robot=False, physical=physical),
             criteria=PHYSICAL,
             adaptation=[SimpleNamespace(recording=str(i)) for i in range(recordings)],
         ),
-        nominal=0.6,
+        nominal_error=0.6,
         error=lambda c: c.held_out,
         errors=lambda candidates: [c.held_out for c in candidates],
     )
-    return second_look(Choice(verdict, base, (), 0.7), yardstick)
+    return second_look(Choice(verdict, base, (), 0.7), predictors)
 
 
 def test_a_part_that_certainly_acts_is_named_though_its_law_is_incomplete(monkeypatch):
@@ -110,8 +110,8 @@ def of_the_rest(monkeypatch, winner, others, *, put_aside=True):
     monkeypatch.setattr(module, "numbers_of", lambda c: len(c.names))
     search = type("Search", (), {"base": base, "__iter__": lambda _: iter([base, *others])})()
     recordings = SimpleNamespace(put_aside=["a stretch"] * put_aside, criteria=PHYSICAL)
-    yardstick = SimpleNamespace(search=search, recordings=recordings)
-    return certain_of_the_rest(Choice(Conclusion.EFFECT, winner, (), 0.1), yardstick)
+    predictors = SimpleNamespace(search=search, recordings=recordings)
+    return certain_of_the_rest(Choice(Conclusion.EFFECT, winner, (), 0.1), predictors)
 
 
 def test_of_trimmed_recordings_what_predicts_alike_is_told_and_the_fewest_numbers_are_the_answer(
@@ -134,17 +134,17 @@ def of_robot(made, missed):
     by which others."""
     base = Made((), 0.5)
     search = type("Search", (), {"base": base, "__iter__": lambda _: iter([base, *made])})()
-    yardstick = SimpleNamespace(
+    predictors = SimpleNamespace(
         search=search,
         recordings=SimpleNamespace(
             strategy=SimpleNamespace(robot=True, physical=True), criteria=PHYSICAL, validation=[]
         ),
-        nominal=0.6,
+        nominal_error=0.6,
         error=lambda c: c.held_out,
         errors=lambda candidates: [c.held_out for c in candidates],
         misses=lambda part, whole, _=None: (part.names, whole.names) in missed,
     )
-    return second_look(Choice(Conclusion.UNKNOWN, base, (), 0.7), yardstick)
+    return second_look(Choice(Conclusion.UNKNOWN, base, (), 0.7), predictors)
 
 
 def test_of_a_robot_the_kind_of_effect_that_windows_certainly_need_and_fits_best_is_named():
@@ -177,10 +177,10 @@ def test_each_fitted_recording_is_predicted_by_a_fit_without_it():
     explored = explore(recordings, assess(plant, recordings.adaptation), lambda *_: None)
     search = explored.search
     friction = search.candidates[Hypothesis(("coulomb_friction",))]
-    yardstick = Yardstick(recordings, explored.searched.quality, search)
-    base, answer = predictions([search.base, friction], yardstick)
+    predictors = Predictors(recordings, explored.searched.quality, search)
+    base, answer = predictions([search.base, friction], predictors)
     assert base.errors.shape == answer.errors.shape == (len(episodes),)
     assert (answer.errors < 0.1 * base.errors).all()
-    whole = yardstick.predictor(friction.fit)
+    whole = predictors.predictor(friction.fit)
     fitted = module._error(whole, recordings.adaptation[:1], recordings.every)
     assert answer.errors[0] > fitted

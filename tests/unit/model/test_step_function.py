@@ -68,11 +68,11 @@ def compiled(model, start, issued):
 
 def stepped(model, start, issued):
     """A rollout of three lanes, one step at a time, of which the middle one is returned."""
-    stepper = StepFunction.of(model)
+    step_function = StepFunction.of(model)
     q, v, u = ([np.full(3, x) for x in part] for part in (*np.split(np.array(start), 2), issued[0]))
-    state, rows = stepper.begin(q, v, u), []
+    state, rows = step_function.begin(q, v, u), []
     for command in issued:
-        seen, state = stepper.step(state, [np.full(3, x) for x in command])
+        seen, state = step_function.step(state, [np.full(3, x) for x in command])
         rows.append([x[1] for x in seen])
     return np.array(rows)
 
@@ -105,10 +105,10 @@ def test_a_step_at_a_time_is_the_compiled_rollout(names, scheme):
     ids=lambda m: m.kind,
 )
 def test_every_kind_of_predictor_steps_as_it_predicts(model):
-    stepper, states = StepFunction.of(model), np.random.default_rng(1).normal(size=(5, 2))
+    step_function, states = StepFunction.of(model), np.random.default_rng(1).normal(size=(5, 2))
     issued = np.linspace(-9.0, 9.0, 5)
-    begun = stepper.begin([states[:, 0]], [states[:, 1]], [issued])
-    seen, after = stepper.step(begun, [issued])
+    begun = step_function.begin([states[:, 0]], [states[:, 1]], [issued])
+    seen, after = step_function.step(begun, [issued])
     assert np.array_equal(np.stack(seen, axis=1), PLANT.observe(states))
     assert np.allclose(
         np.stack([after["position"], after["velocity"]], axis=1),
@@ -176,17 +176,17 @@ def test_every_kind_of_a_robots_predictor_steps_as_it_predicts(tmp_path):
         Residual(plant, learnt),
         Blind(plant, learnt),
     ):
-        stepper = StepFunction.of(model)
-        begun = stepper.begin(list(states[:, :2].T), list(states[:, 2:].T), list(issued.T))
-        _, after = stepper.step(begun, list(issued.T))
+        step_function = StepFunction.of(model)
+        begun = step_function.begin(list(states[:, :2].T), list(states[:, 2:].T), list(issued.T))
+        _, after = step_function.step(begun, list(issued.T))
         names = [f"{what}({joint})" for what in ("position", "velocity") for joint in plant.joints]
         moved = np.stack([after[name] for name in names], axis=1)
         assert np.allclose(moved, model.predict_batch(states, issued), atol=1e-12), model.kind
 
 
 def test_a_delay_takes_its_commands_from_the_state():
-    stepper = StepFunction.of(corrected(("actuator_delay",), DECLARED))
-    shares = stepper.shares[0][0]
+    step_function = StepFunction.of(corrected(("actuator_delay",), DECLARED))
+    shares = step_function.shares[0][0]
     assert len(shares) > 1
     assert sum(shares) == pytest.approx(1.0)
-    assert stepper.names[2:] == tuple(f"command {k} before" for k in range(1, len(shares)))
+    assert step_function.names[2:] == tuple(f"command {k} before" for k in range(1, len(shares)))

@@ -20,7 +20,7 @@ class CommandQuantization(Effect):
     in_mjcf = "round ctrl to multiples of the step before each step"
     params = (Number("step", Scale.COMMAND, 0.0, 0.0, 1.0),)
     starts = tuple((0.97**i,) for i in range(110))
-    zoomed = "step"
+    grid_refined = "step"
     threshold = ("step",)
 
     @staticmethod

@@ -9,8 +9,8 @@ import pytest
 from tests.support.made import T0_NS
 from tests.support.simulated import recorded
 from trueup.diagnose.diagnosis import diagnose
+from trueup.diagnose.measured_drive import measured_drives
 from trueup.diagnose.problem_setup import Recordings
-from trueup.diagnose.witness import witnesses
 from trueup.episode.mcap import read_episode
 from trueup.episode.writer import write_episode
 
@@ -34,10 +34,10 @@ def measured(episodes, drive, late=0):
 
 def test_a_drive_that_follows_its_command_denies_another_gain(joint):
     plant, episodes = joint
-    (witness,) = witnesses(plant, measured(episodes, lambda u: 1.3 * u, late=2))
-    assert witness.gain == pytest.approx(1.3, rel=0.01)
-    assert witness.late_s == pytest.approx(2 * plant.timestep_s)
-    assert set(witness.denied) == {"gain_asymmetry", "quadratic_gain"}
+    (seen,) = measured_drives(plant, measured(episodes, lambda u: 1.3 * u, late=2))
+    assert seen.gain == pytest.approx(1.3, rel=0.01)
+    assert seen.late_s == pytest.approx(2 * plant.timestep_s)
+    assert set(seen.denied) == {"gain_asymmetry", "quadratic_gain"}
 
 
 @pytest.mark.parametrize(
@@ -49,18 +49,18 @@ def test_a_drive_that_follows_its_command_denies_another_gain(joint):
 )
 def test_a_drive_that_has_an_effect_does_not_deny_it(joint, drive, kept):
     plant, episodes = joint
-    (witness,) = witnesses(plant, measured(episodes, drive))
-    assert kept not in witness.denied
+    (seen,) = measured_drives(plant, measured(episodes, drive))
+    assert kept not in seen.denied
 
 
-def test_what_is_no_effort_of_the_drive_witnesses_nothing(joint):
+def test_what_is_no_effort_of_the_drive_says_nothing(joint):
     plant, episodes = joint
     rng = np.random.default_rng(1)
     echo = [replace(e, effort=2.0 * e.commands) for e in episodes]
     other = [replace(e, effort=rng.normal(size=e.commands.shape)) for e in episodes]
     still = [replace(e, effort=np.zeros_like(e.commands)) for e in episodes]
     for logged in (episodes, echo, other, still):
-        assert witnesses(plant, logged) == []
+        assert measured_drives(plant, logged) == []
 
 
 def test_a_denied_effect_is_not_sought_and_the_report_says_why(joint):

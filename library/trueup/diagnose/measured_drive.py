@@ -1,9 +1,9 @@
-"""Witness: what a logged effort says of the drive by itself, whatever the joint then felt.
+"""Measured drive: what a logged effort says of the drive by itself, whatever the joint then felt.
 
 Many drives log a torque, mostly from the motor's current. Where it follows the command, it shows
 the drive's gain in each direction and at each size, without any model of the machine. An effect of
 the drive that it does not have is not sought at that joint: what looks like it came from behind the
-drive. An effort that is the command again, to the last digit, witnesses nothing.
+drive. An effort that is the command again, to the last digit, says nothing.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
-from trueup.diagnose.tuning_of_answers import WITNESS
+from trueup.diagnose.tuning_of_answers import DRIVE
 from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import TWO_SIDED
 from trueup.model.block import term
@@ -28,7 +28,7 @@ BY_DIRECTION, BY_SIZE = "gain_asymmetry", "quadratic_gain"
 
 
 @dataclass(frozen=True, slots=True)
-class Witness:
+class MeasuredDrive:
     """What the effort at a joint says of its drive.
 
     effort = gain x (command, `late_s` [s] before), with the correlation of the two; by how much of
@@ -47,10 +47,10 @@ class Witness:
     def denied(self) -> tuple[str, ...]:
         """Terms of effects that the drive does not have."""
         parts = {BY_DIRECTION: self.by_direction, BY_SIZE: self.by_size}
-        return tuple(term(e, self.joint) for e, part in parts.items() if part < WITNESS.denied)
+        return tuple(term(e, self.joint) for e, part in parts.items() if part < DRIVE.denied)
 
     def document(self) -> Json:
-        """The witness as JSON, an entry of the report's evidence."""
+        """The drive as JSON, an entry of the report's evidence."""
         parts = {BY_DIRECTION: self.by_direction, BY_SIZE: self.by_size}
         return {
             "joint": self.name,
@@ -60,19 +60,18 @@ class Witness:
             "denies": [
                 {"effect": effect, "below": part, "confidence": 0.95}
                 for effect, part in parts.items()
-                if part < WITNESS.denied
+                if part < DRIVE.denied
             ],
         }
 
 
-def witnesses(plant: Plant, episodes: Sequence[Episode]) -> list[Witness]:
-    """Of each joint whose logged effort follows its command what it says, in the order of the
-    joints."""
-    by_joint = (_witness(plant, episodes, joint) for joint in range(len(plant.joints)))
-    return [w for w in by_joint if w is not None]
+def measured_drives(plant: Plant, episodes: Sequence[Episode]) -> list[MeasuredDrive]:
+    """The drives of joints whose logged efforts follow their commands, in the joints' order."""
+    by_joint = (_measured_drive(plant, episodes, joint) for joint in range(len(plant.joints)))
+    return [d for d in by_joint if d is not None]
 
 
-def _witness(plant: Plant, episodes: Sequence[Episode], joint: int) -> Witness | None:
+def _measured_drive(plant: Plant, episodes: Sequence[Episode], joint: int) -> MeasuredDrive | None:
     column = int(plant.command_columns[joint])
     logged = [
         e for e in episodes if e.effort is not None and np.isfinite(e.effort[:, column]).any()
@@ -83,10 +82,10 @@ def _witness(plant: Plant, episodes: Sequence[Episode], joint: int) -> Witness |
     pairs = [
         (e.effort[:, column], e.within_limits[:, column]) for e in logged if e.effort is not None
     ]
-    lags = range(round(WITNESS.latest_s / period_s) + 1)
+    lags = range(round(DRIVE.latest_s / period_s) + 1)
     lag = max(lags, key=lambda k: _correlation(pairs, k))
     correlation = _correlation(pairs, lag)
-    if correlation < WITNESS.follows:
+    if correlation < DRIVE.follows:
         return None
     effort, command = _late(pairs, lag)
     largest = float(np.max(np.abs(command))) or 1.0
@@ -102,7 +101,7 @@ def _witness(plant: Plant, episodes: Sequence[Episode], joint: int) -> Witness |
         (abs(float(solved[i])) + TWO_SIDED * float(errors[i])) / max(abs(gain), 1e-300)
         for i in (1, 2)
     )
-    return Witness(
+    return MeasuredDrive(
         joint,
         plant.joint_name(joint),
         gain / largest,
@@ -135,7 +134,7 @@ def _errors(design: Array, left: Array) -> Array:
     """Standard errors of coefficients whose rest is correlated from sample to sample, by means over
     blocks."""
     inverse = np.linalg.inv(design.T @ design)
-    blocks = np.array_split(design * left[:, None], WITNESS.blocks)
+    blocks = np.array_split(design * left[:, None], DRIVE.blocks)
     scores = np.array([b.sum(axis=0) for b in blocks])
     moved = scores @ inverse
     return np.asarray(np.sqrt((moved**2).sum(axis=0)))
