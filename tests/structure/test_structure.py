@@ -80,6 +80,18 @@ def test_the_layers_hold():
     run("lint-imports")
 
 
+def test_the_page_of_the_architecture_shows_the_librarys_layers_and_packages():
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    (layers,) = (c["layers"] for c in contracts["contracts"] if c.get("containers") == ["trueup"])
+    drawn = page.partition("or environment\n")[2].partition("\n\n")[0]
+    assert [{name.strip() for name in layer.split(",")} for layer in drawn.split("<")] == [
+        {name.strip() for name in layer.split("|")} for layer in reversed(layers)
+    ]
+    packages = {path.parent.name for path in (ROOT / "library" / "trueup").glob("*/__init__.py")}
+    assert {name for name in packages if f"`{name}/`" not in page} == set()
+
+
 def test_the_code_is_formatted_and_linted():
     run("ruff", "format", "--check", ".")
     run("ruff", "check", ".")
