@@ -68,7 +68,7 @@ def service(
 
 
 @pytest.fixture(scope="module")
-def on_servers(
+def scaled_service(
     tmp_path_factory: pytest.TempPathFactory, postgres: Postgres, s3: S3
 ) -> Iterator[Service]:
     """A running server with a worker on PostgreSQL and S3 alone.

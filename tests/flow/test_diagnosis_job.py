@@ -19,8 +19,8 @@ from trueup_client import Client
 
 
 @pytest.fixture(scope="module")
-def service(on_servers):
-    return on_servers
+def service(scaled_service):
+    return scaled_service
 
 
 @pytest.fixture(scope="module")

@@ -31,8 +31,8 @@ def fit(client, **request):
 
 
 @pytest.fixture(scope="module")
-def service(on_servers):
-    return on_servers
+def service(scaled_service):
+    return scaled_service
 
 
 @pytest.fixture(scope="module")

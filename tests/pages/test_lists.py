@@ -18,8 +18,8 @@ HOME = f"/plants/{PLANT}"
 
 
 @pytest.fixture(scope="module")
-def running(on_servers):
-    return on_servers
+def running(scaled_service):
+    return scaled_service
 
 
 @pytest.fixture(scope="module")

@@ -21,10 +21,10 @@ GRACE_S = 9.0  # a server waits ten for what is under way
 
 
 @pytest.fixture(scope="module")
-def running(on_servers):
-    with closing(Client(on_servers.url, token=ADMIN)) as client:
+def running(scaled_service):
+    with closing(Client(scaled_service.url, token=ADMIN)) as client:
         client.register_plant(plant_document(PLANT))
-    return on_servers
+    return scaled_service
 
 
 @pytest.fixture

@@ -19,8 +19,8 @@ expect.set_options(timeout=2 * A_MINUTE)
 
 
 @pytest.fixture(scope="module")
-def running(on_servers):
-    return on_servers
+def running(scaled_service):
+    return scaled_service
 
 
 @pytest.fixture(scope="module")
