@@ -29,7 +29,7 @@ SCALES = Scales(0.6, 0.5, 0.7, 1.0)
 SYMMETRIC = Scheme(0.5, 2)
 ROUNDING = 1e-9
 VISIBLE = 1e-7  # of a channel: what a parameter must move
-OFF_GRID, GRID, ZOOMS = 0.013, 31, 4  # the first grid does not hold the value
+OFF_GRID, GRID, GRIDS = 0.013, 31, 4  # the first grid does not hold the value
 FOUND = 0.02  # of a value, or of its scale: how near a fit must come to it
 PLANT = Plant.from_document(
     {
@@ -191,7 +191,7 @@ def its_value_is_found_again(effect: type[Effect]) -> None:
         effect.grid_refined
     ):  # the error is flat between corners: ever finer grids find it, as a search's
         middle, half, fit = 1.0 + OFF_GRID, 0.2, None
-        for _ in range(ZOOMS):
+        for _ in range(GRIDS):
             tried = [
                 fitter.fit(
                     [s],

@@ -98,11 +98,13 @@ class Free:
         """Move some of them by steps `(some,)`, each in a lane of its own of vectors `p` `(rows,
         lanes)`, in place and past its bounds."""
         rows = self.rows[which]
+        if self.alone:
+            p[rows, lanes] += by
+            return
         alone, combined = np.flatnonzero(rows >= 0), np.flatnonzero(rows < 0)
         p[rows[alone], lanes[alone]] += by[alone]
-        if len(combined):
-            ways = self.along[which[combined]].T
-            p[: self.along.shape[1], lanes[combined]] += by[combined] * ways
+        ways = self.along[which[combined]].T
+        p[: self.along.shape[1], lanes[combined]] += by[combined] * ways
 
     def none(self) -> Free:
         """Nothing free."""

@@ -50,7 +50,8 @@ class NormalEquations:
         """Sum of squared normalised errors, infinite where a rollout ran away."""
         if not np.abs(self.sums).max(initial=0.0) < RAN_AWAY:
             return np.inf  # it ran away, or would a little further on
-        errors, prior = self.sums[:, 0, 0], float(np.sum((self.began / self.scales) ** 2))
+        errors = self.sums[:, 0, 0]
+        prior = float(np.sum((self.began / self.scales) ** 2)) if self.began.size else 0.0
         return sum(float(errors[a:b].sum()) for a, b in pairwise(self.window_ends.tolist())) + prior
 
     @cached_property
@@ -177,17 +178,20 @@ class _Condensed:
     def moves(self, step: Array) -> Moves:
         """Steps of starts and memories beside a step of the parameters."""
         n, windows = len(step), np.empty(self.inverse.shape[:2])
-        missing = self.total[:, n + 1 :, 0] - self.total[:, n + 1 :, 1 : n + 1] @ step
-        memory = rounded(np.einsum("eij,ej->ei", self.solve, missing))
+        memory = np.zeros(self.solve.shape[:2])
+        if memory.size:
+            missing = self.total[:, n + 1 :, 0] - self.total[:, n + 1 :, 1 : n + 1] @ step
+            memory = rounded(np.einsum("eij,ej->ei", self.solve, missing))
         _moved(self.inverse, self.cross, self.window_ends, step, memory, windows)
         return rounded(windows), memory
 
     def expected(self, free: int) -> float:
         """The decrease that starts and memories bring by themselves."""
-        memories = self.total[:, free + 1 :, 0]
-        of_memories = float(np.einsum("ei,eij,ej->", memories, self.solve, memories))
-        starts = self.cross[:, :, 0]
-        return of_memories + float(np.einsum("wi,wij,wj->", starts, self.inverse, starts))
+        starts, memories = self.cross[:, :, 0], self.total[:, free + 1 :, 0]
+        decrease = float(np.einsum("wi,wij,wj->", starts, self.inverse, starts))
+        if memories.size:
+            decrease += float(np.einsum("ei,eij,ej->", memories, self.solve, memories))
+        return decrease
 
 
 @njit(cache=True, nogil=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,12 @@ from trueup.model.block import Block, joint, kind
 from trueup.model.effect import Scale, effects
 
 Array = NDArray[np.float64]
+
+
+@cache
+def _order() -> dict[str, int]:
+    """The place of each effect in the kernel's order, by its name."""
+    return {name: place for place, name in enumerate(effects())}
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +62,9 @@ class Hypothesis:
     effects: tuple[str, ...] = ()
 
     def __or__(self, term: str) -> Hypothesis:
-        order = list(effects())
+        order = _order()
         return Hypothesis(
-            tuple(
-                sorted({*self.effects, term}, key=lambda t: (joint(t), order.index(kind(t).name)))
-            )
+            tuple(sorted({*self.effects, term}, key=lambda t: (joint(t), order[kind(t).name])))
         )
 
     def without(self, term: str) -> Hypothesis:
@@ -82,7 +87,8 @@ def begun(block: Block, values: Array, scales: Scales, term: str, start: Sequenc
 
 def switches(hypothesis: Hypothesis, joints: int = 1) -> NDArray[np.uint8]:
     """Which effects act at which joints, in the kernel's order, `(effects, joints)`."""
-    on, order = np.zeros((len(effects()), joints), np.uint8), list(effects())
+    order = _order()
+    on = np.zeros((len(order), joints), np.uint8)
     for term in hypothesis.effects:
-        on[order.index(kind(term).name), joint(term)] = 1
+        on[order[kind(term).name], joint(term)] = 1
     return on
