@@ -16,6 +16,7 @@ from trueup.errors import BadEpisode
 from trueup_service.errors import InspectionFailed
 from trueup_service.inspection import Inspector, PlantContext, mcap_path
 
+pytestmark = pytest.mark.slow  # each starts a process that loads what inspections need
 HELD = PlantContext(plant_document("p"), [])
 MEMORY = 1 << 30
 

@@ -70,8 +70,8 @@ def test_a_graph_is_the_compiled_rollout(names, scheme):
     ],
     ids=[*ROBOTS, "none, declared", "everywhere, declared"],
 )
-def test_a_robots_graph_is_the_compiled_rollout(tmp_path, at, scheme):
-    model = robot(tmp_path, at, scheme)
+def test_a_robots_graph_is_the_compiled_rollout(at, scheme):
+    model = robot(at, scheme)
     start, issued = robot_motion(model.plant)
     stepped_by_graph = run(model.plant, to_onnx(model, "a" * 64), start, issued)
     other = model.plant.observe(model.run(start, issued))
@@ -120,9 +120,9 @@ def test_a_graph_says_what_it_is_and_is_the_same_bytes_each_time():
     assert all(t.name in used for t in read.graph.initializer)
 
 
-def test_a_state_says_in_words_what_it_begins_as(tmp_path):
+def test_a_state_says_in_words_what_it_begins_as():
     at = (("sensor_delay", 2), ("actuator_lag", 0))
-    read = onnx.load_from_string(to_onnx(robot(tmp_path, at, DECLARED), "a" * 64))
+    read = onnx.load_from_string(to_onnx(robot(at, DECLARED), "a" * 64))
     states = json.loads({p.key: p.value for p in read.metadata_props}["state"])
     begins = {x["name"]: x["begins"] for x in states}
     assert begins["velocity(s)"] == "velocity(s)"

@@ -59,7 +59,7 @@ def test_a_joints_unit_moves_as_the_model_does(tmp_path):
 
 def test_a_robots_unit_moves_as_the_model_does(tmp_path):
     at = (("coulomb_friction", 0), ("actuator_delay", 0), ("sensor_delay", 2), ("actuator_lag", 3))
-    model = robot(tmp_path, at, Scheme(0.5, 2))
+    model = robot(at, Scheme(0.5, 2))
     start, issued = robot_motion(model.plant)
     write_fmu(model, "a" * 64, tmp_path / "robot.fmu")
     moved = run(tmp_path / "robot.fmu", model.plant, start, issued)

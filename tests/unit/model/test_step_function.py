@@ -5,7 +5,7 @@ import pytest
 
 from tests.support import made
 from tests.support.made import TRUE, plant_document
-from tests.support.robots import ARM, EVERYTHING, plant_of
+from tests.support.robots import ARM, branched_plant, plant_of
 from trueup.fit.fitter import Fitter
 from trueup.fit.free_numbers import Directions
 from trueup.model.block import BLOCK, term
@@ -135,9 +135,9 @@ ROBOTS = {
 }  # fmt: skip
 
 
-def robot(folder, at, scheme, seed=0):
+def robot(at, scheme):
     """A robot of hinges and a slide in branches, with effects at joints by their numbers."""
-    plant = plant_of(folder, EVERYTHING, ["a", "b", "c"])
+    plant = branched_plant()
     scales, by_term = Scales(0.6, 1.5, 6.0, 10.0, 0.3), {}
     for name, j in at:
         starts = np.nan_to_num(effects()[name].starts[0], nan=0.1)
@@ -158,8 +158,8 @@ def robot_motion(plant):
 
 @pytest.mark.parametrize("scheme", [DECLARED, Scheme(0.5, 2)], ids=["declared", "symmetric"])
 @pytest.mark.parametrize("at", ROBOTS.values(), ids=ROBOTS)
-def test_a_robots_step_is_the_compiled_rollout(tmp_path, at, scheme):
-    model = robot(tmp_path, at, scheme)
+def test_a_robots_step_is_the_compiled_rollout(at, scheme):
+    model = robot(at, scheme)
     start, issued = robot_motion(model.plant)
     one, other = stepped(model, start, issued), model.plant.observe(model.run(start, issued))
     assert np.ptp(other[:, 0]) > 0.1
