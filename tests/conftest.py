@@ -73,8 +73,8 @@ def scaled_service(
 ) -> Iterator[Service]:
     """A running server with a worker on PostgreSQL and S3 alone.
 
-    For files whose way other tests go on embedded storage, or whose questions `tests/http` asks on
-    both.
+    For test files whose steps other tests take on embedded storage, or whose requests `tests/http`
+    sends on both storages.
     """
     with Service(scaled(tmp_path_factory.mktemp("service"), postgres, s3)).running() as running:
         yield running

@@ -58,8 +58,8 @@ def use_one() -> None:
 def in_parallel(work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
     """Map over threads, in order. Compiled code holds no lock, so it runs on all cores.
 
-    One core, or one item, needs no further thread: to hand over and wait takes longer than much of
-    what is mapped.
+    With one core, or one item, the calling thread does the work itself: handing it over can take
+    longer than doing it.
     """
     if min(cores(), len(items)) <= 1:
         yield from map(work, items)

@@ -1,7 +1,7 @@
 """A diagnosis as a job of the service gives the command's report, and its model is a candidate like
 any other; so does a blind trial.
 
-On embedded storage, `docs/tutorial.md` takes a diagnosis to a promotion, and is run by `test_docs`.
+On embedded storage `test_docs` runs `docs/tutorial.md`, which takes a diagnosis to a promotion.
 """
 
 import json

@@ -120,6 +120,7 @@ def test_it_cannot_come_once_the_effects_are_compiled():
     [
         (("magnetic_saturation", "Magnetic"), "words in small letters"),
         (("    port = Port.COMMAND\n", ""), "no port"),
+        (("    port =", "    zoomed = 'softness'\n    port ="), "now called grid_refined"),
         (("    Source:", "    From:"), "no line Source:"),
         (("((0.3,), (1.0,)", "((0.3, 1.0), (1.0,)"), "a value for each"),
         (("class MagneticSaturation(Effect)", "class MagneticSaturation"), "0 effects"),

@@ -1,7 +1,7 @@
 """The chapter through the service: from uploaded episodes, over REST. Studies give one answer on
 the service and on a folder, and decisions disclose what a study has shown.
 
-On embedded storage, `docs/howto-chapter.md` is the same way, and is run by `test_docs`.
+On embedded storage `test_docs` takes the same steps: it runs `docs/howto-chapter.md`.
 """
 
 import hashlib

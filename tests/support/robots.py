@@ -113,7 +113,7 @@ def plant_of(folder, text, driven, name="robot.xml", period_s=0.002):
 
 @cache
 def branched_plant():
-    """Returns the plant of EVERYTHING, read once: it holds the numbers and no longer the file."""
+    """Returns the plant of EVERYTHING, read once; it holds the numbers, and needs no file."""
     with TemporaryDirectory() as folder:
         return plant_of(Path(folder), EVERYTHING, ["a", "b", "c"])
 

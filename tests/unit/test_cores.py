@@ -4,8 +4,11 @@ import os
 import platform
 import subprocess
 import sys
+import threading
 
 import pytest
+
+from trueup import cores
 
 GROWS = """
 import resource
@@ -39,6 +42,17 @@ def test_threads_take_memory_from_one_arena():
     ]
     assert [granted for granted, _ in said] == ["False", "True"]
     assert int(said[1][1]) < int(said[0][1]) - 4
+
+
+@pytest.mark.parametrize(
+    ("count", "items", "here"), [(1, 3, True), (2, 1, True), (2, 3, False), (2, 0, True)]
+)
+def test_one_core_or_one_item_needs_no_other_thread(monkeypatch, count, items, here):
+    monkeypatch.setattr(cores, "cores", lambda: count)
+    mapped = cores.in_parallel(lambda n: (n**2, threading.get_ident()), range(items))
+    squares, threads = zip(*mapped, strict=True) if items else ((), ())
+    assert squares == tuple(n**2 for n in range(items))
+    assert all((thread == threading.get_ident()) is here for thread in threads)
 
 
 @pytest.mark.parametrize(("asked", "threads"), [(None, "1"), ("2", "2")])

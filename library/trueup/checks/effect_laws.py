@@ -29,7 +29,7 @@ SCALES = Scales(0.6, 0.5, 0.7, 1.0)
 SYMMETRIC = Scheme(0.5, 2)
 ROUNDING = 1e-9
 VISIBLE = 1e-7  # of a channel: what a parameter must move
-OFF_GRID, GRID, GRIDS = 0.013, 31, 4  # the first grid does not hold the value
+OFF_GRID, POINTS, GRIDS = 0.013, 31, 4  # the first grid does not hold the value
 FOUND = 0.02  # of a value, or of its scale: how near a fit must come to it
 PLANT = Plant.from_document(
     {
@@ -199,10 +199,10 @@ def its_value_is_found_again(effect: type[Effect]) -> None:
                     np.where(np.arange(len(values)) == row, values[row] * factor, values),
                     iterations=0,
                 )
-                for factor in middle + half * np.linspace(-1.0, 1.0, GRID)
+                for factor in middle + half * np.linspace(-1.0, 1.0, POINTS)
             ]
             fit = min(tried, key=lambda f: f.cost)
-            middle, half = float(fit.values[row] / values[row]), 2.0 * half / (GRID - 1)
+            middle, half = float(fit.values[row] / values[row]), 2.0 * half / (POINTS - 1)
         assert fit is not None
     else:
         fit = fitter.fit(

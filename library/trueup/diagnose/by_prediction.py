@@ -82,23 +82,23 @@ class Predictors:
     def error(self, candidate: Candidate) -> float:
         """Root mean square error of the candidate's predictions of held-out episodes."""
         predictor = self.predictor(candidate.fit)
-        return self.of(predictor) if predictor is not None else float("inf")
+        return self.error_of(predictor) if predictor is not None else float("inf")
 
-    def of(self, predictor: Predictor) -> float:
+    def error_of(self, predictor: Predictor) -> float:
         """Root mean square error of a predictor's predictions of held-out episodes."""
         return held_out_error(predictor, self.recordings.validation)
 
     def is_spoilt(self, refitted: Predictor, candidate: Candidate) -> bool:
         """Whether a refit of a candidate predicts much worse than the candidate itself, or worse
         than the nominal model or its refitted form, and the candidate does not."""
-        before, after = self.error(candidate), self.of(refitted)
+        before, after = self.error(candidate), self.error_of(refitted)
         limit = SELECTION.no_better * min(self.nominal_error, self.error(self.search.base))
         return before < SELECTION.much_better * after or before <= limit < after
 
     @cached_property
     def nominal_error(self) -> float:
         """The error of the nominal model."""
-        return self.of(Nominal(self.recordings.plant))
+        return self.error_of(Nominal(self.recordings.plant))
 
     def errors(self, candidates: Sequence[Candidate]) -> list[float]:
         """The errors of candidates."""
@@ -138,7 +138,7 @@ def nominal_predictor(plant: Plant, same_numbers: Predictor, predictors: Predict
     )
     if not isinstance(same_numbers, Corrected):
         return from_observed
-    return min((same_numbers, from_observed), key=predictors.of)
+    return min((same_numbers, from_observed), key=predictors.error_of)
 
 
 def best_of_the_alike(choice: Choice, predictors: Predictors) -> Choice:

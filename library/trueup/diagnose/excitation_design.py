@@ -188,8 +188,8 @@ def _noise(plant: Plant, episodes: Sequence[Episode], report: Mapping[str, Any])
         noise = np.array(
             [report["evidence"]["noise"][c.name] for c in plant.layout.observations], float
         )
-        enlarged = np.sqrt(max(report["evidence"].get("misfit") or 1.0, 1.0))
-        return np.asarray(enlarged * np.where(np.isfinite(noise) & (noise > 0.0), noise, quiet))
+        factor = np.sqrt(max(report["evidence"].get("misfit") or 1.0, 1.0))
+        return np.asarray(factor * np.where(np.isfinite(noise) & (noise > 0.0), noise, quiet))
     if not episodes:
         return quiet
     measured = assess(plant, episodes).noise[plant.state_columns]

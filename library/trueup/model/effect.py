@@ -182,6 +182,7 @@ class Effect(ABC):
 
 
 ENTRY_POINTS = "trueup.effects"  # the group by which an installed package brings effects
+RENAMED = {"zoomed": "grid_refined"}  # attributes that an effect from outside may still have
 # of each effect from outside this package the SHA-256 of the file that defines it
 _FROM_OUTSIDE: dict[str, str] = {}
 
@@ -224,6 +225,9 @@ def _admitted(effect: type[Effect], path: Path) -> type[Effect]:
     for attribute in ("port", "category", "params", "starts"):
         if not hasattr(effect, attribute):
             raise BadEffect(f"{path.name}: the effect {name} declares no {attribute}")
+    for old, new in RENAMED.items():
+        if hasattr(effect, old):
+            raise BadEffect(f"{path.name}: {old} of the effect {name} is now called {new}")
     text = inspect.getdoc(effect) or ""
     for word in ("Equation:", "Source:", "Blind:"):
         if word not in text:
